@@ -281,7 +281,7 @@ def pitch(trial: Trial) -> float:
 def match_initial_zeta(
     dataset: RigDataset, pool: RunPool, settings: InitialZetaSettings = DEFAULT_INITIAL_ZETA
 ) -> np.ndarray:
-    """Log zeta of each run at which the reference model meets its early mean sinkage.
+    """Log zeta of each run at which the reference model matches its early mean sinkage.
 
     All responses are linearised there; it is not yet the zeta that suits all channels best.
 
@@ -366,7 +366,7 @@ def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) 
 
 
 def _early_samples(dataset: RigDataset, run: int, window: tuple[float, float]) -> np.ndarray:
-    """Mask of the compared samples within a window of the way turned and travelled.
+    """Mask of the compared samples within a window of the angle turned and the distance travelled.
 
     All of them where none was taken then.
     """

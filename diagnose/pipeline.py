@@ -234,7 +234,7 @@ class _Diagnosing:
 
     def weigh(self, found: ScreeningResult) -> _Weighed:
         """Predict held-out runs by the leading hypotheses, and weigh them."""
-        self.report("predicting the runs left out")
+        self.report("predicting the held-out runs")
         limits = self.settings.held_out
         leading = [
             each

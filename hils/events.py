@@ -45,7 +45,7 @@ class Event(IntEnum):
     EMERGENCY_STOP = 43  # arg: the reason's number
     FRAMES_DROPPED = 44  # arg: how many since the last such event
     RIG_CLOCK_JUMPED = 45  # arg: by how much, against the host's clock [s]
-    # What the rig measures, against what it was told (hils.control.safety).
+    # What the rig measures, against what was commanded (hils.control.safety).
     RUNAWAY = 70  # arg: the angular velocity measured [rad/s]
     DRIVE_DEVIATES = 71  # arg: the same
     MOVES_AT_REST = 72  # arg: angular velocity [rad/s] or travel [m] measured

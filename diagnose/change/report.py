@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.change.figures import difference_figure
 from diagnose.change.hypothesis import ZETA
@@ -12,6 +11,7 @@ from diagnose.report.figures import as_source
 from diagnose.report.model_writer import estimate_in_words
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
 from drftjax.common.output_files import make_folder, replace_file
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import value_with_error
 from drftjax.recorded.observation import SHOWN
@@ -20,15 +20,15 @@ from drftjax.report_page.page import render_page
 # Smaller weights are left out of the list of weights [-].
 MIN_WEIGHT = 0.01
 
-# Without a change, an unexplained share of so many times the noise's is told [-]: five times its
-# RMS. Noise counts for 2 % at least: a fiftieth of a difference is left by any law.
+# Without a change, an unexplained share of so many times the noise's is reported [-]: five times
+# its RMS. Noise counts for 2 % at least: a fiftieth of a difference is left by any law.
 MIN_UNEXPLAINED = 25.0
 MIN_NOISE_SHARE = 0.02
 
 BUDGET_COLUMNS = ("difference", "RMS", "the change", "zeta's scatter", "unexplained", "noise")
 
 
-def in_words(found: ChangeDiagnosis) -> list[Table | str]:
+def in_words(found: ChangeDiagnosis) -> list[WholeWordTable | str]:
     """The whole comparison as sentences and a table, from top to bottom."""
     return [first_sentence(found), budget_table(found), *paragraphs(found)]
 
@@ -114,9 +114,9 @@ def budget_rows(found: ChangeDiagnosis) -> list[tuple[str, ...]]:
     return rows
 
 
-def budget_table(found: ChangeDiagnosis) -> Table:
+def budget_table(found: ChangeDiagnosis) -> WholeWordTable:
     """Table of the difference between now and before, and what makes it up."""
-    table = Table()
+    table = WholeWordTable()
     for name in BUDGET_COLUMNS:
         table.add_column(name, justify="left" if name == BUDGET_COLUMNS[0] else "right")
     for row in budget_rows(found):

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from drftjax.commands.options import CommandGroup
+from drftjax.commands.printing import say, say_next
 from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 
@@ -39,8 +40,10 @@ Examples:
 @app.command(epilog=MAKE_EXAMPLES)
 def make(
     folder: Annotated[Path, typer.Argument(help="A new folder for the sets.")],
-    sets: Annotated[int, typer.Option(help="Number of sets.")] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of every random choice.")] = 0,
+    sets: Annotated[int, typer.Option(help="Number of sets, 100000 at most.")] = 100,
+    seed: Annotated[
+        int, typer.Option(help="Seed of every random choice.", min=0, max=2**32 - 1)
+    ] = 0,
     protocol: Annotated[
         str,
         typer.Option(
@@ -81,7 +84,8 @@ def make(
     with progress_line(Console(), "making sets", total=sets) as show:
         for number, _ in enumerate(make_sets(request, jobs), start=1):
             show("making sets", number)
-    typer.echo(f"{sets} sets written to {folder}; their labels are sealed")
+    say(f"{sets} sets written to {folder}; their labels are sealed")
+    say_next("blind", "answer", folder, "-o", f"{folder}_answers.json")
 
 
 ANSWER_EXAMPLES = """
@@ -132,12 +136,13 @@ def answer(
     else:
         failures = _answer_on_cluster(cluster, open_sets, output, answers)
     for name, reason in sorted(failures.items()):
-        typer.echo(f"no answer to {replace_unprintable(name)}: {replace_unprintable(reason)}")
+        say(f"no answer to {replace_unprintable(name)}: {replace_unprintable(reason)}")
     if not answers:
         raise InputError(f"{folder}: none of its {len(failures)} sets could be answered")
     if cluster is not None:
         write_answers(output, answers)
-    typer.echo(f"{len(answers)} answers written to {output}")
+    say(f"{len(answers)} answers written to {output}")
+    say_next("blind", "score", folder, "--answers", output)
 
 
 def _answer_here(
@@ -200,11 +205,11 @@ def _answer_on_cluster(
     with WorkStore(output.with_suffix(".store"), ANSWER_STORE, options) as store:
         todo = {name: each for name, each in files.items() if each.digest not in store}
         if len(todo) < len(files):
-            typer.echo(f"{store.path} has {len(files) - len(todo)} of these {len(sets)} sets")
+            say(f"{store.path} has {len(files) - len(todo)} of these {len(sets)} sets")
         why: dict[str, str] = {}
         if todo:
             with connect(where) as client:
-                typer.echo(f"dashboard: {dashboard(client)}")
+                say(f"dashboard: {dashboard(client)}")
                 with progress_line(Console(), "waiting for workers", total=len(todo)) as show:
 
                     def report(dealt_with: int, workers: int) -> None:
@@ -260,10 +265,10 @@ def score(
     if missing := scores["unanswered"]:
         shown, others = missing[:MAX_NAMES_SHOWN], len(missing) - MAX_NAMES_SHOWN
         more = f" and {others} more" if others > 0 else ""
-        typer.echo(f"without an answer: {', '.join(shown)}{more}")
+        say(f"without an answer: {', '.join(shown)}{more}")
     if output is not None:
         replace_file(output, as_json(scores))
-        typer.echo(f"score written to {output}")
+        say(f"score written to {output}")
 
 
 if __name__ == "__main__":

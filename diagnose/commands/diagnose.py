@@ -1,22 +1,25 @@
 """`drft diagnose`: find the effects that make recorded runs differ from the model."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from drftjax.commands.completion import complete_effects
 from drftjax.commands.options import (
     PlotFile,
     draw_picture,
     remove_empty_folders,
     require_picture,
 )
+from drftjax.commands.printing import say_next, say_on
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    # From effects, a report of stages and a teller of runs left out: result, words, writer.
+    # From effects, a report of stages and one of skipped runs: result, words, writer.
     Steps = Callable[..., tuple[Any, list[Any], Callable[[Any, Path], list[Path]]]]
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -53,7 +56,10 @@ def diagnose(
     picture: PlotFile = None,
     effects: Annotated[
         str | None,
-        typer.Option(help="Names, with commas between: only these are considered. [default: all]"),
+        typer.Option(
+            help="Names, with commas between: only these are considered. [default: all]",
+            autocompletion=complete_effects,
+        ),
     ] = None,
     bed: Annotated[
         Literal["prepared", "free"],
@@ -76,17 +82,11 @@ def diagnose(
     configure_jax()
     from diagnose.api import effects_among
     from drftjax.commands.progress import progress_line
-    from drftjax.common.text import replace_unprintable
 
     require_picture(picture, [*runs, *([] if against is None else [against])])
     chosen = effects_among(_names(effects))
     console = Console()
-
-    def say(text: str, style: str | None = None) -> None:
-        # File names may hold brackets, and are to be copied from one line.
-        console.print(
-            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-        )
+    say = partial(say_on, console)
 
     steps = _diagnosed(runs, output, bed) if against is None else _compared(runs, against, output)
     with progress_line(console, "reading runs", quiet=quiet) as show:
@@ -104,6 +104,8 @@ def diagnose(
         written = write(found, output)
         if not quiet:
             say(f"written: {', '.join(str(each) for each in written)}")
+            if against is None:
+                say_next("evaluate", "OTHER_RUNS", "--model", output / "model.toml")
     if picture is not None:
         draw_picture(found.plot(), picture)
 

@@ -1,6 +1,7 @@
 """`drft evaluate`: compare a diagnosis's model with runs that it was not fitted to."""
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,13 +14,13 @@ from drftjax.commands.options import (
     remove_empty_folders,
     require_picture,
 )
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from diagnose.evaluation.result import Evaluation
     from diagnose.evaluation.tuner_activity import TunerActivity
+    from drftjax.common.rich_text import WholeWordTable
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -39,7 +40,7 @@ A run that was made in the loop is replayed by --tuner in that very loop; --tick
 --tolerance are for the others.
 
 Each run is simulated freely from its start, by the reference model and by that with the effects
-of the model file, each with the zeta that meets the run's mean sinkage. All other numbers are the
+of the model file, each with the zeta that matches the run's mean sinkage. All other numbers are the
 run's own.
 """
 
@@ -86,7 +87,6 @@ def evaluate(
     from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import replace_file, require_places
     from drftjax.common.structured_files import as_json
-    from drftjax.common.text import replace_unprintable
     from drftjax.results.provenance import command_provenance
     from drftjax.tuning.step_tuner import StepTuner
 
@@ -99,10 +99,7 @@ def evaluate(
         require_places([output], [model])
     made = command_provenance("evaluate", [*runs, model], INTERVAL_SEED)
     console = Console()
-
-    def say(text: str) -> None:
-        # File names may hold brackets, and are to be copied from one line.
-        console.print(replace_unprintable(text), markup=False, highlight=False, soft_wrap=True)
+    say = partial(say_on, console)
 
     moved: list[tuple[TunerActivity, TunerActivity]] = []
     with progress_line(console, "reading runs") as show:
@@ -132,12 +129,15 @@ def evaluate(
         draw_picture(found.plot(), picture)
 
 
-def moves_table(found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]") -> "Table":
+def moves_table(
+    found: "Evaluation", moved: "list[tuple[TunerActivity, TunerActivity]]"
+) -> "WholeWordTable":
     """Table of the changes of zeta by the tuner, without and with the effects."""
     from rich.markup import escape
-    from rich.table import Table
 
-    table = Table(title="online tuner", title_justify="left")
+    from drftjax.common.rich_text import WholeWordTable
+
+    table = WholeWordTable(title="online tuner", title_justify="left")
     for name in ("run", "sum of |dzeta|", "range of zeta", "sinkage left \\[mm]"):
         table.add_column(name, justify="left" if name == "run" else "right")
     for each, (before, after) in zip(found.dataset.runs, moved, strict=True):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drftjax.commands.options import USUAL_OMEGA_MAX
+from drftjax.commands.printing import say, say_next
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ Examples:
 \b
   drft protocol data/paper.toml -o out/protocol
   drft protocol --like run.h5 --max-travel 1.2 --max-speed 120 -o out/protocol
-  drft hils run --port /dev/ttyUSB0 --mode free --profile out/protocol/3_backward.toml \\
-      -o runs/backward.h5
+  drft hils run --port /dev/ttyUSB0 --mode free \\
+      --profile out/protocol/3_backward.toml -o runs/backward.h5
   drft hils run --port /dev/ttyUSB0 --mode free --omega-max 3.5 \\
       --profile out/protocol/8_fast_light.toml -o runs/fast_light.h5
 
@@ -48,7 +49,7 @@ def protocol(
         float | None, typer.Option(help="Largest speed of the wheel [deg/s].")
     ] = None,
     max_travel: Annotated[
-        float | None, typer.Option(help="Longest way of the carriage [m].")
+        float | None, typer.Option(help="Largest travel of the carriage [m].")
     ] = None,
 ) -> None:
     """Write nine runs to record for a diagnosis: the ones that tell effects apart."""
@@ -57,11 +58,11 @@ def protocol(
         raise InputError(f"name one set-up file, or --like RUN{both}")
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Column, Table
 
     from diagnose.next_runs.recommended_runs import recommended_runs
     from drftjax.common.jax_config import configure_jax
     from drftjax.common.output_files import make_folder, replace_file
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.setups.setup_toml import setup_toml
 
     configure_jax()
@@ -71,8 +72,7 @@ def protocol(
     runs = list(recommended_runs(rig, max_speed, max_travel))
     make_folder(output)
     fast = {}
-    # Names are copied from here, and stay whole.
-    table = Table(Column("set-up", no_wrap=True))
+    table = WholeWordTable("set-up")
     for heading in ("load [kg]", "speed [deg/s]", "lasts [s]", "tells"):
         table.add_column(escape(heading))
     for number, (run, each) in enumerate(runs, start=1):
@@ -88,9 +88,12 @@ def protocol(
         lasts = f"{each.command.time[-1]:.1f}"
         table.add_row(name, f"{each.rig.mass_z:.1f}", f"{speed:.0f}", lasts, tells)
     Console().print(table)
-    typer.echo(f"nine set-ups written to {output}")
+    say(f"nine set-ups written to {output}")
     if fast:
-        typer.echo(_allowance(fast))
+        say(_allowance(fast))
+    first = output / f"1_{runs[0][0].name}.toml"
+    recorded = ("--mode", "free", "--profile", first, "-o", f"runs/{runs[0][0].name}.h5")
+    say_next("hils", "run", "--port", "PORT", *recorded)
 
 
 def _rig(setup: Path | None, like: Path | None) -> "SetUp":
@@ -119,7 +122,7 @@ def _rig(setup: Path | None, like: Path | None) -> "SetUp":
                 "that is free cannot be simulated; name a set-up file with mass_x in [rig] instead"
             )
         rig.rig.carriage, rig.command.vx = "free", None
-        typer.echo(f"note: the carriage of {like} was driven; in these runs it is to be free")
+        say(f"note: the carriage of {like} was driven; in these runs it is to be free")
     return rig
 
 

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.dataset import RigDataset
 from diagnose.gap.gap import Gap
 from diagnose.gap.zeta_matching import REFERENCE_NAME, WITH_EFFECTS_NAME, MatchedRun, unmatched
-from drftjax.common.rich_text import summary_html, summary_text
+from drftjax.common.rich_text import WholeWordTable, summary_html, summary_text
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.observation import SHOWN
 from drftjax.tuning.step_tuner import StepTuner
@@ -164,9 +163,9 @@ def sentences(found: Evaluation) -> list[str]:
     ]
 
 
-def gap_table(found: Evaluation) -> Table:
+def gap_table(found: Evaluation) -> WholeWordTable:
     """Table of the gap of every run and of all, before and after."""
-    table = Table()
+    table = WholeWordTable()
     table.add_column("run")
     table.add_column("zeta", justify="right")
     channels = found.dataset.channels

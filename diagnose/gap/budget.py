@@ -52,7 +52,7 @@ class BudgetShare:
 
     Attributes:
         share: Of the gap above the noise floor [-]; negative where the effect makes it larger.
-        interval: Its 90 % interval [-]: of conditions and of the effect's numbers drawn anew.
+        interval: Its 90 % interval [-]: of conditions and of the effect's numbers drawn again.
         size: The same part of the gap [m, N, N m].
     """
 

@@ -94,7 +94,7 @@ def at_mean_sinkage(
 ) -> list[MatchedRun]:
     """Every run of a held-out prediction at its matched zeta.
 
-    A run whose mean sinkage is met by no zeta stays as it is.
+    A run whose mean sinkage is matched by no zeta stays as it is.
 
     Args:
         regressors: Of the dataset.

@@ -62,8 +62,8 @@ def _sentence(dataset: RigDataset, pairs: Mapping[str, Sequence[tuple[int, int]]
     """Source of the floors, by the repeats of each channel."""
     if not any(pairs.values()):
         return (
-            "No run was repeated: the noise floor is the instruments' fast scatter and what plates "
-            "half as long would change, and says nothing of how runs scatter."
+            "No run was repeated: the noise floor is the instruments' fast scatter and the "
+            "discretisation check's change, and says nothing of how runs scatter."
         )
     chains: list[list[int]] = []
     for first, second in sorted({pair for each in pairs.values() for pair in each}):

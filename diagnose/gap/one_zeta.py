@@ -1,6 +1,6 @@
-"""The gap with one zeta for the bed: each condition at the zeta that the others foretell.
+"""The gap with one zeta for the bed: each condition at the zeta that the others predict.
 
-A zeta of its own lets each run meet its mean sinkage, whatever makes it sink. Where the bed was
+A zeta of its own lets each run match its mean sinkage, whatever makes it sink. Where the bed was
 prepared alike, what another zeta makes up for is part of the gap: the held-out condition is
 simulated at the mean zeta of the others, and chance there is also what zeta scatters by.
 """
@@ -19,7 +19,7 @@ from drftjax.effects.catalogue import reported_name
 from drftjax.recorded.repeats import group_by_condition
 
 
-def foretold_zetas(log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> np.ndarray:
+def predicted_zetas(log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> np.ndarray:
     """Mean log zeta of the runs of all other conditions, for each run.
 
     Args:
@@ -37,10 +37,10 @@ def foretold_zetas(log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> np.
     return found
 
 
-def foretold_residuals(
+def predicted_residuals(
     regressors: Regressors, prediction: HeldOutPrediction, pool: RunPool
 ) -> list[np.ndarray]:
-    """Residual of each run at the foretold zeta [m, N, N m], shape (channels, samples).
+    """Residual of each run at the predicted zeta [m, N, N m], shape (channels, samples).
 
     Where a run cannot be simulated there, its response to zeta is taken as linear.
 
@@ -52,15 +52,15 @@ def foretold_residuals(
     dataset, hypothesis = regressors.dataset, prediction.hypothesis
     zetas = prediction.log_zeta + regressors.log_reference_zeta
     groups = group_by_condition(dataset.runs)
-    foretold = foretold_zetas(zetas, groups) - regressors.log_reference_zeta
+    predicted = predicted_zetas(zetas, groups) - regressors.log_reference_zeta
 
     def of(run: int) -> np.ndarray:
         at = prediction.coordinates[run]
-        simulated = dataset.prediction(hypothesis.model, run, foretold[run], at)
+        simulated = dataset.prediction(hypothesis.model, run, predicted[run], at)
         found = simulated - dataset.recording(run)
         if np.isfinite(found[~np.isnan(dataset.recording(run))]).all():
             return found
-        apart = foretold[run] - prediction.log_zeta[run]
+        apart = predicted[run] - prediction.log_zeta[run]
         return prediction.residual[run] + apart * hypothesis.by_zeta(run)
 
     return pool.map(of, dataset.run_numbers)
@@ -89,9 +89,9 @@ def one_zeta_gaps(
     wider = {}
     for index, channel in enumerate(dataset.channels):
         response = np.concatenate([by_zeta(run)[index] for run in dataset.run_numbers])
-        # The foretold zeta is a mean of others: its own scatter is small beside the run's.
+        # The predicted zeta is a mean of others: its own scatter is small beside the run's.
         wider[channel] = float(np.hypot(floors[channel], scatter * _rms(response)))
-    first, last = (foretold_residuals(regressors, each, pool) for each in (before, after))
+    first, last = (predicted_residuals(regressors, each, pool) for each in (before, after))
     return gaps(dataset, first, last, wider, settings)
 
 

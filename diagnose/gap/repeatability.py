@@ -89,8 +89,8 @@ def repeat_difference(
 ) -> np.ndarray:
     r"""Difference of the residuals of two repeats at the first one's samples, where both have data.
 
-    Each run has the zeta that meets its mean sinkage. Where one was recorded over less time, these
-    means are over different parts of the run, and a residual that grows in both would differ
+    Each run has the zeta that matches its mean sinkage. Where one was recorded over less time,
+    these means are over different parts of the run, and a residual that grows in both would differ
     between them. The first run's zeta is then changed until both miss the same mean sinkage over
     the time that they share, $d - (\bar d_z / \bar s_z)\, s$ with its linear response s.
 

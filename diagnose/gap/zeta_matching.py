@@ -1,4 +1,4 @@
-"""Every run simulated at its matched zeta, at which it meets its own mean recorded sinkage.
+"""Every run simulated at its matched zeta, at which it matches its own mean recorded sinkage.
 
 Sand is never prepared twice alike, so each run has a zeta of its own. The zeta that fits all
 channels best depends on their weights, as it may give up one channel for another. The matched zeta
@@ -34,7 +34,7 @@ class MatchedRun:
     Attributes:
         residual: Simulated minus recorded [m, N, N m], shape (channels, samples).
         log_zeta: Logarithm of its zeta over its set-up's [-].
-        matched: True where that zeta meets the run's mean sinkage.
+        matched: True where that zeta matches the run's mean sinkage.
     """
 
     residual: np.ndarray
@@ -74,7 +74,7 @@ def residuals_of(runs: Sequence[MatchedRun]) -> list[np.ndarray]:
 
 
 def unmatched(dataset: RigDataset, runs: Sequence[MatchedRun], model: str) -> list[str]:
-    """One sentence for each run whose mean sinkage no zeta was found to meet.
+    """One sentence for each run whose mean sinkage no zeta was found to match.
 
     Args:
         dataset: The runs.
@@ -82,7 +82,7 @@ def unmatched(dataset: RigDataset, runs: Sequence[MatchedRun], model: str) -> li
         model: Name of the model that simulated them.
     """
     return [
-        f"{dataset.runs[run].name}: no zeta was found at which {model} meets its mean sinkage; "
+        f"{dataset.runs[run].name}: no zeta was found at which {model} matches its mean sinkage; "
         "its residuals here are at another zeta."
         for run, each in enumerate(runs)
         if not each.matched
@@ -98,7 +98,7 @@ def match_zeta(
     slope: float | None = None,
     settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
 ) -> MatchedRun:
-    """One run simulated at the zeta that meets its mean sinkage.
+    """One run simulated at the zeta that matches its mean sinkage.
 
     Args:
         dataset: The runs.

@@ -376,7 +376,7 @@ class _Screening:
     def finish_one(self, here: Hypothesis, best_score: float, leads: bool) -> Hypothesis:
         """Refine a hypothesis with fresh derivatives, round by round, while that gains.
 
-        The one that leads gets a round where it leaves no gap, too: its numbers are told.
+        The one that leads gets a round where it leaves no gap, too: its numbers are reported.
         """
         settings = self.settings
         for number in range(settings.max_rounds):

@@ -77,8 +77,8 @@ class SetScreeningSettings:
 
 DEFAULT_PAIRS = SetScreeningSettings()
 
-# A base of two effects or more is simulated and linearised anew, so linear fits about it are nearer
-# to the truth than those about the reference model: fewer tries are enough.
+# A base of two effects or more is simulated and linearised again, so linear fits about it are
+# nearer to the truth than those about the reference model: fewer tries are enough.
 DEFAULT_LARGER_SETS = SetScreeningSettings(
     max_bases=2, sets_per_round=6, max_continued=3, both_starts=1
 )

@@ -1,7 +1,7 @@
 r"""Scatter of zeta between the runs of one bed: what is known of it, and its evidence.
 
 Log zeta of run r is $\mu + \epsilon_r$, a mean of the bed and a scatter that no two preparations
-escape. Either somebody prepared the bed alike for every run, and zeta of a run is foretold by the
+escape. Either somebody prepared the bed alike for every run, and zeta of a run is predicted by the
 others' within that scatter; or nobody did, and each run has its own.
 """
 
@@ -47,7 +47,7 @@ class AbstractBed(ABC):
 
 @dataclass(frozen=True)
 class PreparedBed(AbstractBed):
-    r"""A bed prepared alike for every run: a run's zeta is foretold by the others'.
+    r"""A bed prepared alike for every run: a run's zeta is predicted by the others'.
 
     The variance of the scatter has a scaled inverse chi-square distribution of $\nu$ statements
     about $\tau^2$; repeats of one condition add theirs. Then n contrasts of the zetas (of R runs,

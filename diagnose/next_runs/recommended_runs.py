@@ -113,7 +113,7 @@ def recommended_runs(
     if max_speed is not None:
         require_between("the largest speed", max_speed, 1.0, 3000.0, " deg/s")
     if max_travel is not None:
-        require_between("the longest way", max_travel, 0.01, 1000.0, " m")
+        require_between("the largest travel", max_travel, 0.01, 1000.0, " m")
     for run in RECOMMENDED_RUNS:
         setup = copy.deepcopy(like)
         time, speed = _within(run, like.wheel.radius, max_speed, max_travel, settings)

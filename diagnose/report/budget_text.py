@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.gap.budget import ChannelBudget
 from diagnose.linear.bed import FreeBed
@@ -12,6 +11,7 @@ from diagnose.report.remedies import remedy
 from diagnose.report.user_terms import in_user_terms
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import UNKNOWN, percent
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.recorded.observation import SHOWN
 
 
@@ -20,9 +20,9 @@ class BudgetTextSettings:
     """Thresholds of the sentences.
 
     Attributes:
-        min_remainder_weight: A remainder is told that is likelier than not [-].
-        min_hidden_share: The gap with one zeta is told where it is larger than that with each run's
-            own, or its floor, by this share of it [-].
+        min_remainder_weight: A remainder is reported that is likelier than not [-].
+        min_hidden_share: The gap with one zeta is reported where it is larger than that with each
+            run's own, or its floor, by this share of it [-].
         made_up_share: These runs cannot show an effect of which another zeta makes up for so much
             [-]: what is left is less than its formula may be wrong by.
     """
@@ -83,9 +83,9 @@ def _percent(share: float) -> str:
     return f"{round(100 * share) + 0:d}%"  # no minus before zero
 
 
-def budget_table(found: Diagnosis) -> Table:
+def budget_table(found: Diagnosis) -> WholeWordTable:
     """Table of the budget."""
-    table = Table()
+    table = WholeWordTable()
     for number, name in enumerate(budget_columns(found)):
         table.add_column(name, justify="right" if number else "left")
     for row in budget_rows(found):
@@ -137,7 +137,7 @@ def one_zeta_sentence(found: Diagnosis, settings: BudgetTextSettings = DEFAULT_B
     if not parts:
         return ""
     return (
-        "With one zeta for the bed, each condition at the zeta that the others foretell, the gap "
+        "With one zeta for the bed, each condition at the zeta that the others predict, the gap "
         f"is {', '.join(parts)}."
     )
 

@@ -67,7 +67,7 @@ def _head(found: Diagnosis) -> list[str]:
         lines.append("No effect was found: this is the reference model.")
     elif found.correction is not None:
         on = (
-            "runs left out"
+            "held-out runs"
             if len(group_by_condition(found.dataset.runs)) > 1
             else "these very runs"
         )

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from diagnose.checks.outlier_runs import REPEATS_DIFFER
 from diagnose.gap.gap import Gap
@@ -21,6 +20,7 @@ from diagnose.report.budget_text import (
 from diagnose.report.model_writer import estimate_in_words
 from diagnose.result import Diagnosis
 from diagnose.selection.model_weights import NONE, UNKNOWN, percent
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
 from drftjax.effects.catalogue import reported_names
@@ -53,7 +53,9 @@ class ReportSettings:
 DEFAULT_REPORT = ReportSettings()
 
 
-def in_words(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> list[Table | str]:
+def in_words(
+    found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT
+) -> list[WholeWordTable | str]:
     """The whole diagnosis as sentences and tables, from top to bottom."""
     return [
         verdict(found, settings),
@@ -232,7 +234,7 @@ def step_sentences(found: Diagnosis) -> list[str]:
     if not found.stepwise:
         return []
     steps = [f"{each.effects[-1]} {_shrunk_by(found, each.gap)}" for each in found.stepwise]
-    return [f"Added one by one, each fitted anew: {'; then '.join(steps)}."]
+    return [f"Added one by one, each fitted again: {'; then '.join(steps)}."]
 
 
 def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
@@ -246,7 +248,7 @@ def _shrunk_by(found: Diagnosis, gaps: Mapping[str, Gap] | None = None) -> str:
 def _measured_on(found: Diagnosis, what: str) -> str:
     """Runs on which the shrinkage was measured; `what` ends in a verb."""
     if len(group_by_condition(found.dataset.runs)) > 1:
-        return f"on runs left out while {what} found"
+        return f"on held-out runs while {what} found"
     return f"on the same runs that {what} found on, which overstates it"
 
 
@@ -293,9 +295,9 @@ def gap_rows(found: Diagnosis) -> list[tuple[str, ...]]:
 GAP_COLUMNS = ("gap", "before", "after", "noise floor", "in floors", "shrinkage (90 %)")
 
 
-def gap_table(found: Diagnosis) -> Table:
+def gap_table(found: Diagnosis) -> WholeWordTable:
     """Table of the gap before and after, against the noise floor."""
-    table = Table()
+    table = WholeWordTable()
     for name in GAP_COLUMNS:
         table.add_column(name, justify="left" if name == "gap" else "right")
     for row in gap_rows(found):

@@ -94,7 +94,7 @@ WORDS: Mapping[str, Words] = {
     "vertical_viscous": _size("damping", "damping of the vertical guide", "N s/m"),
     "horizontal_coulomb": _size("force", "carriage friction", "N"),
     "horizontal_viscous": _size("damping", "carriage damping", "N s/m"),
-    "drawbar": _size("force", "pull against the way of", "N"),
+    "drawbar": _size("force", "pull against the travel of", "N"),
     "cable_spring": _size("stiffness", "the cable pulls back with", "N per m of travel"),
     "vertical_spring": _size("stiffness", "the guide pushes up with", "N per mm of sinkage", 1e-3),
     "vertical_compliance": _size("compliance", "the frame gives", "mm per N", 1e3),

@@ -122,7 +122,7 @@ class UnknownEffect:
                 )
             return found
         name, share = self.dependence[0]
-        found = [f"{said}; it follows {name}, which explains {share:.0%} of it on runs left out."]
+        found = [f"{said}; it follows {name}, which explains {share:.0%} of it on held-out runs."]
         correction = self.best_correction
         if correction is None:
             found.append(f"No correction of {stage} can depend on that variable: none is offered.")

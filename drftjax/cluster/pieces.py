@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from drftjax.cluster.connection import CLUSTER_SETTINGS
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, read_failure
 
 
 class Piece(Protocol):
@@ -82,11 +82,8 @@ def file_bytes(path: Path) -> bytes:
             raise InputError(f"{path}: must be an ordinary file")
         require_size(path.stat().st_size, path)
         return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path}: cannot be read ({reason})") from None
+        raise InputError(f"{path}: {read_failure(path, error)}") from None
 
 
 def require_size(size: int, path: Path) -> None:

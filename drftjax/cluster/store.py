@@ -173,7 +173,7 @@ class WorkStore:
                 else:
                     other = self._settings(line)
                     if other != settings and not file.peek(1):
-                        break  # a call that finished nothing left this: it is begun anew
+                        break  # a call that finished nothing left this: it is begun again
                     self._compare(other, settings)
                 place += len(line)
         os.ftruncate(self._handle, place)
@@ -188,7 +188,7 @@ class WorkStore:
         except ValueError:
             raise InputError(
                 f"{self.path}: is damaged in line 1, or no store of {self._kind.work} at all; "
-                "move it away to begin anew"
+                "move it away to begin again"
             ) from None
         if (header.schema, header.schema_version) != (self._kind.schema, SCHEMA_VERSION):
             raise InputError(

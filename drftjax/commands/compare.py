@@ -1,16 +1,17 @@
 """`drft compare`: several fits, or several diagnoses, side by side."""
 
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.results.compared_files import ComparedResults
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -65,30 +66,33 @@ def compare(
     if found.quantities:
         console.print(_value_table(found))
     for sentence in [*found.sentences, *found.next_steps]:
-        console.print(replace_unprintable(sentence), markup=False, highlight=False, soft_wrap=True)
+        say(replace_unprintable(sentence))
     if output is not None:
         replace_file(output, as_json(found.document()))
-        typer.echo(f"written: {output}")
+        say(f"written: {output}")
 
 
-def _table(found: "ComparedResults", title: str, first: str, *last: str) -> "Table":
+def _table(found: "ComparedResults", title: str, first: str, *last: str) -> "WholeWordTable":
     """Table with a column for each file between the first and the last ones."""
     from rich.markup import escape
-    from rich.table import Table
 
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.common.text import replace_unprintable
 
-    table = Table(title=title, title_justify="left")
-    table.add_column(first, overflow="fold")
-    for each in found.files:
-        heading = escape(replace_unprintable(each.name))
-        table.add_column(heading, justify="right", overflow="fold")
+    table = WholeWordTable(title=title, title_justify="left")
+    table.add_column(first)
+    places = [each.path.parts for each in found.files]
+    folders = zip(*(place[:-1] for place in places), strict=False)
+    shared = len(list(takewhile(lambda names: len(set(names)) == 1, folders)))
+    for place in places:  # without the folder that all lie in, or no row would fit a page
+        heading = escape(replace_unprintable("/".join(place[shared:])))
+        table.add_column(heading, justify="right")
     for heading in last:
         table.add_column(heading, justify="right")
     return table
 
 
-def _weight_table(found: "ComparedResults") -> "Table":
+def _weight_table(found: "ComparedResults") -> "WholeWordTable":
     from rich.markup import escape
 
     table = _table(found, "weights of effects", "effect")
@@ -97,7 +101,7 @@ def _weight_table(found: "ComparedResults") -> "Table":
     return table
 
 
-def _value_table(found: "ComparedResults") -> "Table":
+def _value_table(found: "ComparedResults") -> "WholeWordTable":
     from rich.markup import escape
 
     table = _table(found, "values", "parameter", "mean", "chi2/f", "chance")

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.completion import complete_effect
 from drftjax.commands.options import draw_picture, require_picture
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -25,7 +27,10 @@ Examples:
 @app.command(epilog=EXAMPLES)
 def effects(
     name: Annotated[
-        str | None, typer.Argument(help="An effect, to show in full.", show_default=False)
+        str | None,
+        typer.Argument(
+            help="An effect, to show in full.", show_default=False, autocompletion=complete_effect
+        ),
     ] = None,
     plot: Annotated[
         Path | None,
@@ -52,11 +57,11 @@ def effects(
     if name == correction.NAME:
         if plot is not None:
             raise InputError("a correction is what its set-up file says; there is nothing to draw")
-        typer.echo(table.correction_details())
+        say(table.correction_details())
         return
     chosen = None if name is None else effect_class(name)
     if chosen is not None:
-        typer.echo(table.effect_details(chosen))
+        say(table.effect_details(chosen))
     elif markdown:
         typer.echo(table.effect_markdown())
     elif plot is None:
@@ -64,7 +69,7 @@ def effects(
 
         console = Console(highlight=False)
         console.print(table.effect_table())
-        console.print(f"\n{table.BESIDES}")
+        say(f"\n{table.BESIDES}")
     if plot is not None:
         from drftjax.simulation import effect_gallery as portrait
 

@@ -7,7 +7,8 @@ import typer
 from typer.core import TyperCommand
 
 from drftjax.commands.options import CommandGroup
-from drftjax.common.errors import InputError
+from drftjax.commands.printing import say, say_next
+from drftjax.common.errors import InputError, missing_path
 
 app = typer.Typer(
     name="log",
@@ -40,9 +41,9 @@ def check(files: Files, time_limit: TimeLimit = 20.0) -> None:
     for path, violations in zip(files, check_files(files, time_limit), strict=True):
         notes = [each for each in violations if each.level is Level.NOTE]
         for each in violations:
-            typer.echo(f"note: {each}" if each in notes else str(each))
+            say(f"note: {each}" if each in notes else str(each))
         if len(notes) == len(violations):
-            typer.echo(f"{path}: ok")
+            say(f"{path}: ok")
         else:
             broken = True
     if broken:
@@ -59,7 +60,8 @@ def show(files: Files) -> None:
     from drftjax.runlog.summary import show as summary
 
     files = run_files(files)
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(highlight=False)
+    console.soft_wrap = not console.is_terminal
     for path, run in zip(files, read_runs_guarded(files), strict=True):
         console.print(summary(str(path), run), markup=False)
 
@@ -86,7 +88,7 @@ def plot(
         save_figure(plot_run(run), output)
     except InputError as problem:
         raise InputError(f"{file}: {problem}") from None
-    typer.echo(f"wrote {output}")
+    say(f"wrote {output}")
 
 
 @app.command()
@@ -104,7 +106,8 @@ def repair(
     path, run = mend(part, output, force)
     rows = f"{run.command.time.size} commands, {run.measured.time.size} readings"
     ticks = "" if run.online is None else f", {run.online.time.size} ticks"
-    typer.echo(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
+    say(f"wrote {path}: {rows}{ticks}, to {run.measured.time[-1]:g} s; {part} is left")
+    say_next("log", "show", path)
 
 
 @app.command()
@@ -145,7 +148,7 @@ def export(
             raise InputError(f"{path} is read here and would be replaced; give another name")
     for path, data in files.items():
         (replace_file if force else put_new_file)(path, data)
-        typer.echo(f"wrote {path}")
+        say(f"wrote {path}")
 
 
 class ImportCommand(TyperCommand):
@@ -187,6 +190,8 @@ def import_(
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
 ) -> None:
     """Make run logs from a table, by a mapping that says what its columns mean."""
+    if not table.exists():
+        raise InputError(f"{table}: {missing_path(table)}")
     if guess:
         if mapping is not None:
             raise InputError("--guess proposes a mapping; leave out --mapping")
@@ -206,9 +211,11 @@ def import_(
         raise InputError(f"{taken[0]}{more} already there; give --force to replace")
     for path, each in zip(targets, imported, strict=True):
         write_run(path, each.run)
-        typer.echo(f"wrote {path}: {each.run.title}")
+        say(f"wrote {path}: {each.run.title}")
         for doubt in (*each.losses, *plausibility_warnings(each.run)):
-            typer.echo(f"note: {path}: {doubt}", err=True)
+            say(f"note: {path}: {doubt}", error=True)
+    if targets:
+        say_next("log", "show", output)
 
 
 def _propose(table: Path, output: Path | None, force: bool) -> None:
@@ -222,15 +229,13 @@ def _propose(table: Path, output: Path | None, force: bool) -> None:
         raise InputError(f"{output} is already there; give --force to replace")
     proposal = propose_mapping(table)
     for doubt in proposal.doubts:
-        typer.echo(f"unsure: {doubt}", err=True)
+        say(f"unsure: {doubt}", error=True)
     if output is None:
         typer.echo(proposal.text, nl=False)
         return
     put = replace_file if force else put_new_file
     put(output, proposal.text.encode())
-    typer.echo(
-        f"wrote {output}; look at it, then: drft log import {table} --mapping {output} -o runs"
-    )
+    say(f"wrote {output}; look at it, then: drft log import {table} --mapping {output} -o runs")
 
 
 def _mapping(given: str) -> Path:
@@ -243,6 +248,8 @@ def _mapping(given: str) -> Path:
     known = data_names("import", ".toml")
     name = given.removesuffix(".toml")
     if name not in known:
+        if "/" in given or given != name:
+            raise InputError(f"{given}: {missing_path(Path(given), 'file')}")
         hint = nearest(name, tuple(known))
         raise InputError(f"there is no mapping {given!r}, neither a file nor by name; {hint}")
     return data_file(f"import/{name}.toml")

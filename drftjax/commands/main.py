@@ -27,6 +27,7 @@ from typer.main import get_command
 
 import drftjax
 from drftjax.commands.options import CommandGroup
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
 GROUP = "drft.commands"
@@ -198,7 +199,7 @@ def _run() -> int | str | None:
 
 def _refuse(sentence: str) -> int:
     """Print a refusal, and return its exit code."""
-    print(f"drft: {sentence}", file=sys.stderr)
+    say(f"drft: {sentence}", error=True)
     return 2
 
 

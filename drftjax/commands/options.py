@@ -1,5 +1,6 @@
 """Options, groups of commands and result folders that commands share."""
 
+import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import wraps
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -48,7 +50,7 @@ def draw_picture(figure: "Figure", picture: Path) -> None:
     from drftjax.common.figures import save_figure
 
     save_figure(figure, picture)
-    typer.echo(f"figure written to {picture}")
+    say(f"figure written to {picture}")
 
 
 def refuse_options(context: typer.Context, names: tuple[str, ...], why: str) -> None:
@@ -74,12 +76,36 @@ def is_on_command_line(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
+_WORDS = "drftjax.words"  # entry of a context's notes: the words that its command is given
+
+
+# Typer's reason for a value that cannot be; it does not name the value.
+_OF_TYPER = re.compile(r"Input should be ([^,]*)")
+
+
 WHOLE = 1000
 """Characters of a summary: more than any has, as the list wraps it."""
 
 
 class CommandGroup(TyperGroup):
-    """Group whose list of commands shows whole summaries; for `typer.Typer(cls=...)`."""
+    """Group that lists whole summaries; its refusals name all that is missing, and what was given.
+
+    For `typer.Typer(cls=...)`.
+    """
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Find a command as every group does, and keep the words that it is given."""
+        name, command, words = super().resolve_command(ctx, args)
+        ctx.meta[_WORDS] = list(words)
+        return name, command, words
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command, and complete the refusal of what it was given."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            _complete(error)
+            raise
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write every shown command with its first sentence."""
@@ -92,6 +118,33 @@ class CommandGroup(TyperGroup):
         if rows:
             with formatter.section("Commands"):
                 formatter.write_dl(rows)
+
+
+def _complete(error: Any) -> None:
+    """Have a refusal name every missing parameter, or the value that was given."""
+    context, refused = error.ctx, error.param
+    if context is None or refused is None:
+        return
+    words = list(context.meta.get(_WORDS, ()))
+    given, *_ = context.command.make_parser(context).parse_args(words)
+    lacking = [
+        each
+        for each in context.command.get_params(context)
+        if getattr(each, "required", False) and given.get(each.name) in (None, (), [])
+    ]
+    if refused in lacking:
+        error.param_type, error.param_hint = _listed(lacking), ""
+    elif (match := _OF_TYPER.match(error.message)) is not None:
+        error.message = f"{given.get(refused.name)!r} must be {match[1]}"
+    else:
+        error.message = error.message.removeprefix("Value error, ")
+
+
+def _listed(parameters: list[Any]) -> str:
+    """Parameters in words: "argument 'FILE' and option '--output' / '-o'"."""
+    named = [f"{each.param_type_name} {each.get_error_hint()}" for each in parameters]
+    *first, last = named
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def remove_empty_folders(command: Callable[..., None]) -> Callable[..., None]:

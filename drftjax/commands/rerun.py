@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.results.command_line import ResultCommand
     from drftjax.results.differences import ResultComparison, ResultDifference
     from drftjax.results.provenance import Machine
@@ -30,7 +31,7 @@ EXAMPLES = """
 Examples:
 
 \b
-  drft rerun out/fit.json                      makes out/fit_rerun.json, .h5, .png, .html
+  drft rerun out/fit.json         makes out/fit_rerun.json, .h5, .png, .html
   drft rerun out/diagnosis/diagnosis.json -o out/again
   drft rerun colleague/fit.json --changed-inputs
 
@@ -62,8 +63,8 @@ def rerun(
     from rich.console import Console
 
     from drftjax.commands.main import subcommand
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_folder
-    from drftjax.common.text import replace_unprintable
     from drftjax.results.command_line import (
         RESULT_COMMANDS,
         find_inputs,
@@ -94,18 +95,14 @@ def rerun(
     earlier = _stamp(target)
 
     console = Console()
-
-    def say(text: str, style: str | None = None) -> None:
-        console.print(
-            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-        )
+    say = partial(say_on, console)
 
     for each in inputs.changes:
         say(each, "yellow")
     for each in _changed(made.versions, software_versions()):
         say(each, "yellow")
     arguments = command.arguments(relative_to_base(asked, inputs.base), option)
-    with console.status(f"drft {name}"):
+    with progress_line(console, f"drft {name}"):
         _run(arguments, inputs.base, result)
     if _stamp(target) == earlier:
         raise InputError(f"{result} cannot be made again: drft {name} finds no result to write")
@@ -174,7 +171,7 @@ def _numbers(machine: "Machine") -> dict[str, str]:
 def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """Sentences on entries of provenance that are others than they were."""
     return [
-        f"{name} was {before.get(name, 'not told')}, is {after.get(name, 'not told')}"
+        f"{name} was {before.get(name, 'not reported')}, is {after.get(name, 'not reported')}"
         for name in dict.fromkeys([*before, *after])
         if before.get(name) != after.get(name)
     ]
@@ -197,15 +194,15 @@ def _summary(found: "ResultComparison") -> str:
     )
 
 
-def _table(differences: "Sequence[ResultDifference]") -> "Table":
+def _table(differences: "Sequence[ResultDifference]") -> "WholeWordTable":
     from rich.markup import escape
-    from rich.table import Table
 
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.common.text import replace_unprintable
 
-    table = Table(title="what differs", title_justify="left")
+    table = WholeWordTable(title="what differs", title_justify="left")
     for heading in ("entry", "before", "again"):
-        table.add_column(heading, overflow="fold")
+        table.add_column(heading)
     table.add_column("difference", justify="right")
     for each in differences:
         cells = (each.place, each.before, each.after)

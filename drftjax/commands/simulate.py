@@ -11,6 +11,7 @@ from drftjax.commands.options import (
     remove_empty_folders,
     require_picture,
 )
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -105,18 +106,18 @@ def simulate(
         chosen.integrator.step = step
     log = simulated_run(chosen, interval=1 / rate, at=sampled)
 
-    typer.echo(summary(log))
+    say(summary(log))
     if log.notes:
-        typer.echo(log.notes)
+        say(log.notes)
     time = log.measured.time
     if sampled is None and len(time) > 1 and abs((time[1] - time[0]) * rate - 1) > 1e-6:
         true = 1 / (time[1] - time[0])
-        typer.echo(f"note: rows come at {true:.4g} Hz, at whole steps", err=True)
+        say(f"note: rows come at {true:.4g} Hz, at whole steps", error=True)
     for doubt in plausibility_warnings(log):
-        typer.echo(f"note: {doubt}", err=True)
+        say(f"note: {doubt}", error=True)
     if output is not None:
         write_run(output, log)
-        typer.echo(f"run log written to {output}")
+        say(f"run log written to {output}")
     if plot is not None:
         from drftjax.runlog.figure import plot_run
 

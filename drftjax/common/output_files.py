@@ -103,6 +103,9 @@ def make_folder(folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        taken = next(each for each in (*reversed(folder.parents), folder) if not each.is_dir())
+        raise InputError(f"{folder} cannot be made a folder: {taken} is a file") from error
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputError(f"{folder} cannot be made a folder: {reason}") from error

@@ -2,13 +2,12 @@
 
 import inspect
 from collections.abc import Iterable, Iterator, Mapping
-from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, did_you_mean
 
 Kind = TypeVar("Kind")
 
@@ -125,8 +124,7 @@ def require_known(entry: str, name: str, known: Iterable[str]) -> None:
     """
     known = list(known)
     if name not in known:
-        near = get_close_matches(name, known, n=1, cutoff=0.4)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = did_you_mean(name, known, most=1, cutoff=0.4)
         listed = ", ".join(map(repr, known))
         must = f"one of {listed}" if len(known) > 1 else listed
         raise InputError(f"{entry} is {name!r}, must be {must}{hint}")

@@ -3,13 +3,12 @@
 import json
 import re
 import tomllib
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, did_you_mean, read_failure
 
 Structure = TypeVar("Structure", bound=msgspec.Struct)
 
@@ -31,7 +30,17 @@ _WORDS = {
     "array": "a list",
     "object": "a table of entries",
     "null": "nothing",
+    "date": "a date",
+    "time": "a time of day",
+    "datetime": "a date and time",
 }
+
+# Where a parser of TOML stopped, and what it says of an entry that is there already.
+_STOPPED = re.compile(r"\(at line (?P<line>\d+), column (?P<column>\d+)\)")
+_REPEATED = re.compile("twice|overwrite|immutable|mutate")
+
+SHOWN_OF_LINE = 60
+"""Most characters of a wrong line that an error message shows."""
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -44,12 +53,8 @@ def read_document(path: Path) -> dict[str, Any]:
     try:
         # Some editors put a byte-order mark first, which neither format knows.
         text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, must be a file") from None
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
+        raise InputError(f"{path}: {read_failure(path, problem)}") from None
     except UnicodeDecodeError as problem:
         kind = "JSON" if is_json else "TOML"
         why = f"is not text; must be {kind}"
@@ -61,12 +66,35 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: {why}") from None
     try:
         document = json.loads(text) if is_json else tomllib.loads(text)
-    except (ValueError, RecursionError) as problem:
-        kind = "JSON" if is_json else "TOML"
-        raise InputError(f"{path}: is not {kind} ({problem})") from None
+    except RecursionError:
+        raise InputError(f"{path}: its entries lie too deep in one another") from None
+    except ValueError as problem:
+        why = _syntax_failure(text, problem, "JSON" if is_json else "TOML")
+        raise InputError(f"{path}: {why}") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: must hold named entries, holds a {type(document).__name__}")
     return document
+
+
+def _syntax_failure(text: str, problem: ValueError, kind: str) -> str:
+    """Clause on text that is not TOML or not JSON, with the line where it stops to be."""
+    if isinstance(problem, json.JSONDecodeError):
+        line, column = problem.lineno, problem.colno
+    elif (stopped := _STOPPED.search(str(problem))) is not None:
+        line, column = int(stopped["line"]), int(stopped["column"])
+    elif "digits" in str(problem):
+        return "holds a number of too many digits"
+    elif _REPEATED.search(str(problem)):
+        return f"is not {kind}: its last line gives an entry that is there already"
+    else:
+        return f"is not {kind}: it ends inside an entry"
+    lines = text.splitlines()
+    shown = lines[line - 1].strip()[:SHOWN_OF_LINE] if line <= len(lines) else ""
+    if not shown:
+        return f"is not {kind}: it ends at line {line}, inside an entry"
+    if _REPEATED.search(str(problem)):
+        return f"is not {kind}: line {line}, {shown!r}, gives an entry that is there already"
+    return f"is not {kind}: line {line}, {shown!r}, cannot be read from column {column} on"
 
 
 def as_json(document: dict[str, Any]) -> bytes:
@@ -105,14 +133,17 @@ def explain(message: str, kind: type[msgspec.Struct]) -> str:
     where = f" in [{place}]" if place else ""
     what = _PLACE.sub("", message)
     if unknown := _UNKNOWN.search(what):
-        near = get_close_matches(unknown["field"], sorted(_names(kind)), n=3, cutoff=0.5)
-        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
+        homes = _homes(kind)
+        home = homes.pop(unknown["field"], None)
+        hint = f"; it belongs in [{home}]" if home else did_you_mean(unknown["field"], homes)
         return f"unknown entry {unknown['field']!r}{where}{hint}"
     if missing := _MISSING.search(what):
         return f"the entry {missing['field']!r} is missing{where}"
     given = what.removeprefix("Invalid enum value ")
     if given != what and (allowed := _allowed(kind, place)):
         return f"{place} is {given}, must be one of {', '.join(map(repr, allowed))}"
+    if "out of range" in what:
+        return f"{place or 'the file'}: the number is larger than a computer holds"
     worded = re.sub(r"`(.+?)`", lambda types: _in_words(types[1]), what)
     return f"{place or 'the file'}: {worded[0].lower()}{worded[1:]}"
 
@@ -134,12 +165,20 @@ def _allowed(kind: Any, place: str) -> tuple[Any, ...]:
     return get_args(kind) if get_origin(kind) is Literal else ()
 
 
-def _names(kind: Any) -> set[str]:
-    """Names of all entries of a structure and of the structures inside it."""
-    names: set[str] = set()
+def _homes(kind: Any, place: str = "") -> dict[str, str]:
+    """Table of each entry of a structure and of those inside it, by the entry's name.
+
+    The table is "" for an entry of the outermost, and for one that several tables have.
+    """
+    homes: dict[str, str] = {}
     for field in msgspec.structs.fields(kind):
-        names.add(field.encode_name)
+        inside: dict[str, str] = {field.encode_name: place}
+        table = f"{place}.{field.encode_name}".lstrip(".")
+        if get_origin(field.type) is list:
+            table = f"[{table}]"
         for inner in (field.type, *get_args(field.type)):
             if isinstance(inner, type) and issubclass(inner, msgspec.Struct):
-                names |= _names(inner)
-    return names
+                inside |= _homes(inner, table)
+        for name, home in inside.items():
+            homes[name] = home if homes.get(name, home) == home else ""
+    return homes

@@ -5,10 +5,9 @@ A package adds effects by the entry-point group `drft.effects`: a name, and wher
 
 import dataclasses
 from collections.abc import Iterable
-from difflib import get_close_matches
 from functools import cache
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, did_you_mean
 from drftjax.common.packages import load_plugins, require_concrete
 from drftjax.effects import correction
 from drftjax.effects.base import AbstractEffect, EffectInfo
@@ -69,9 +68,8 @@ def effect_class(name: str) -> type[AbstractEffect]:
     """
     known = catalogue()
     if name not in known:
-        near = get_close_matches(name, known, n=3, cutoff=0.4)
-        hint = f"did you mean {' or '.join(near)}?" if near else "`drft effects` lists them"
-        raise InputError(f"there is no effect {name!r}; {hint}")
+        hint = did_you_mean(name, known, cutoff=0.4) or "; `drft effects` lists them"
+        raise InputError(f"there is no effect {name!r}{hint}")
     return known[name]
 
 

@@ -369,7 +369,9 @@ def build_correction(entry: Mapping[str, Any]) -> Curve:
     """
     missing = [field for field in FIELDS if field not in entry]
     if missing:
-        raise InputError(f"a correction needs {', '.join(missing)}; it has {', '.join(FIELDS)}")
+        raise InputError(
+            f"a correction needs {', '.join(missing)} too; its entries are {', '.join(FIELDS)}"
+        )
     for field in entry:
         if field not in ("name", *FIELDS):
             raise InputError(f"a correction has no entry {field!r}; it has {', '.join(FIELDS)}")

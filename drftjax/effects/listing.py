@@ -2,8 +2,7 @@
 
 from itertools import groupby
 
-from rich.table import Table
-
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.effects import correction
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, field_metadata, strengths
@@ -37,13 +36,12 @@ def typical_sizes(effect: type[AbstractEffect]) -> str:
     )
 
 
-def effect_table() -> Table:
+def effect_table() -> WholeWordTable:
     """All effects, for a terminal."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    # Names are copied from here, and stay whole.
-    table.add_column("effect", no_wrap=True)
+    table = WholeWordTable(box=None, pad_edge=False, header_style="bold")
+    table.add_column("effect")
     for column in ("formula", "typical numbers", "what happens"):
-        table.add_column(column, overflow="fold")
+        table.add_column(column)
     for stage, effects in by_stage():
         table.add_row(f"\n[bold cyan]{stage}[/]")
         for each in effects:

@@ -199,7 +199,7 @@ class Heap(MemorylessLoad, AbstractSandLoad):
     """A heap ahead of a deep or braked wheel holds it back and bears some of its load.
 
     Braked slip is b = 1 - r ω / v_x, from 0 where the wheel rolls or drives to 1 where it is locked
-    or turns against the way.
+    or turns against the travel.
     """
 
     about: ClassVar = EffectInfo(
@@ -209,7 +209,9 @@ class Heap(MemorylessLoad, AbstractSandLoad):
         "d = tanh(v_x / 1 mm/s)",
         "a heap ahead of a braked or deep wheel: resistance and lift with sinkage squared",
     )
-    resistance: Number = strength("N", 2.0, "force against the way at 20 mm of sinkage", least=0.0)
+    resistance: Number = strength(
+        "N", 2.0, "force against the travel at 20 mm of sinkage", least=0.0
+    )
     lift: Number = strength("N", 1.0, "force upward at 20 mm of sinkage", least=0.0)
     braking: Number = shape("-", 2.0, (0.5, 2.0, 8.0), "growth of both from rolling to locked")
 

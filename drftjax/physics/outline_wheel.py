@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from drftjax.common.arrays import Real, as_real, require_between
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, read_failure
 from drftjax.physics.wheel import (
     DEFAULT_PLATE_SIZE,
     LARGEST_RADIUS,
@@ -122,10 +122,8 @@ def read_outline(path: str | Path) -> np.ndarray:
         # Some editors put a byte-order mark first.
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file") from None
     except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror})") from None
+        raise InputError(f"{path}: {read_failure(Path(path), problem)}") from None
     except (UnicodeDecodeError, csv.Error):
         raise InputError(f"{path}: is not an outline; must be CSV, two numbers a line") from None
     except ValueError:

@@ -55,7 +55,7 @@ class KnotZeta(AbstractZeta):
         require_between("zeta", self.value, 0.0, LARGEST_ZETA)
         if self.time.ndim != 1 or self.time.shape != self.value.shape:
             raise InputError(
-                f"zeta has {self.value.shape} values at {self.time.shape} knots; "
+                f"zeta has {self.value.size} values at {self.time.size} knots; "
                 "give one value for each knot in time"
             )
         if not self.time.size:

@@ -1,4 +1,4 @@
-"""Secant search for the zeta at which a simulated run meets its mean recorded sinkage.
+"""Secant search for the zeta at which a simulated run matches its mean recorded sinkage.
 
 Sand that bears more (larger zeta) lifts the wheel, nearly in proportion to the logarithm of zeta.
 The search is therefore made in log zeta, and needs a few simulations and no derivative.
@@ -20,8 +20,8 @@ class ZetaMatchSettings:
         max_step: Longest change of log zeta [-] that one straight line is trusted for.
         min_step: The search ends where the next change of log zeta [-] is smaller: half a
             micrometre of sinkage.
-        max_miss: A mean sinkage is met within this [m], half the noise of a good scale, also where
-            the steps end before `min_step`.
+        max_miss: A mean sinkage is matched within this [m], half the noise of a good scale, also
+            where the steps end before `min_step`.
         rise_per_log_zeta: Rise of the wheel [m] per unit of log zeta, about what the wheel of Fuke
             et al. 2024 shows: the slope of the first step, where the caller knows none.
     """
@@ -44,8 +44,8 @@ class ZetaMatch:
         log_zeta: Logarithm of zeta where the search ended, over the zeta that it began from.
         miss: Mean of simulated minus recorded height of the wheel there [m].
         slope: Rise of the wheel per unit of log zeta over the last step [m].
-        matched: True where the mean sinkage is met; the search ends without that where the wheel
-            does not rise with zeta, or cannot be simulated.
+        matched: True where the mean sinkage is matched; the search ends without that where the
+            wheel does not rise with zeta, or cannot be simulated.
     """
 
     log_zeta: np.ndarray

@@ -61,7 +61,8 @@ class FileValue:
     Attributes:
         value, error: The number and its standard error; of each run's own values, their mean.
         runs: Number of runs it is the mean of; None where the file has one value.
-        scatter: Standard deviation from run to run beyond the errors; None where that is not told.
+        scatter: Standard deviation from run to run beyond the errors; None where that is not
+            reported.
         at_bound: True where a fit ended at a bound of it, where its error means nothing.
     """
 

@@ -71,7 +71,9 @@ def compare_fits(
     sentences = input_sentences(files)
     for name, fit in zip(names, fits, strict=True):
         if fit.status != "converged":
-            sentences.append(f"{name} ended as {fit.status!r}: its values are less sure than told.")
+            sentences.append(
+                f"{name} ended as {fit.status!r}: its values are less sure than reported."
+            )
         if any(run.zeta_path is not None for run in fit.runs):
             sentences.append(f"{name} holds zeta(t) of its runs, which is not compared.")
     sentences += _agreement_sentences(quantities, names)
@@ -138,7 +140,7 @@ def _agreement_sentences(quantities: Sequence[ComparedQuantity], names: Sequence
 
 
 def _next_steps(quantities: Sequence[ComparedQuantity], files: Sequence[ResultInput]) -> list[str]:
-    """Sentences on what to record next: repeats of what disagrees, a run for what is not told."""
+    """Sentences on what to record next: repeats of what disagrees, a run for the rest."""
     if not quantities:
         return []
     sentences = []
@@ -146,7 +148,7 @@ def _next_steps(quantities: Sequence[ComparedQuantity], files: Sequence[ResultIn
     logs = [each.run_logs.keys() for each in files]
     if disagreeing and not any(one & other for one, other in combinations(logs, 2)):
         sentences.append(
-            f"Record one run twice, with the sand prepared anew, since {disagreeing[-1].label} "
+            f"Record one run twice, with the sand prepared again, since {disagreeing[-1].label} "
             "disagrees most: where the two differ as much, the sand does; where they do not, `drft "
             "diagnose` on all the runs looks for what the model lacks."
         )
@@ -154,12 +156,12 @@ def _next_steps(quantities: Sequence[ComparedQuantity], files: Sequence[ResultIn
     common = [each for each in disagreeing if not _is_own(each)]
     worst = common[-1] if common else max(quantities, key=_share)
     share = _share(worst)
-    told = f"told to {100 * share:.2g} % at best" if math.isfinite(share) else "not told"
+    told = f"known to {100 * share:.2g} % at best" if math.isfinite(share) else "not identified"
     reason = f"disagrees most, and is {told}" if common else f"is {told}, worse than the others"
     if len(quantities) == 1 and not common:
         reason = f"is {told}"
     command = _design_command(worst, quantities, files)
-    return [*sentences, f"{worst.label} {reason}. The run that would tell it: {command}"]
+    return [*sentences, f"{worst.label} {reason}. The run that would identify it: {command}"]
 
 
 def _scatter(quantity: ComparedQuantity) -> float:
@@ -172,7 +174,7 @@ def _is_own(quantity: ComparedQuantity) -> bool:
 
 
 def _share(quantity: ComparedQuantity) -> float:
-    """Smallest standard error of any file as a share of the value; infinite where none is told."""
+    """Smallest standard error of any file as a share of the value; infinite without any."""
     shares = [
         each.error / abs(each.value)
         for each in quantity.values

@@ -87,8 +87,8 @@ def compare_results(
 ) -> ResultComparison:
     """Compare two results entry by entry.
 
-    Lists of numbers count as one entry, whose largest difference is told; tables with a name are
-    matched by it.
+    Lists of numbers count as one entry, whose largest difference is reported; tables with a name
+    are matched by it.
 
     Args:
         before, after: Plain values of their JSON files.

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, missing_path
 from drftjax.common.output_files import require_places
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.runlog.hdf5.conversion import run_from_survey
@@ -32,8 +32,8 @@ def repair(part: Path, output: Path | None = None, force: bool = False) -> tuple
     """
     whole = part.with_name(part.name.removesuffix(PART))
     if not part.exists():
-        closed = f"; {whole} is there, which needs no repair" if whole.exists() else ""
-        raise InputError(f"{part}: there is no such file{closed}")
+        closed = f"there is no such file; {whole} is there, which needs no repair"
+        raise InputError(f"{part}: {closed if whole.exists() else missing_path(part)}")
     if output is None:
         if not part.name.endswith(f".h5{PART}"):
             raise InputError(

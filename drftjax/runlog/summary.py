@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Group as Stack
-from rich.table import Table
 from rich.text import Text
 
-from drftjax.common.rich_text import summary_html
+from drftjax.common.rich_text import WholeWordTable, summary_html
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog.record import Events, RunLog
 from drftjax.runlog.schema import UNITS
@@ -93,9 +92,9 @@ def as_html(run: RunLog) -> str:
     return summary_html([one_line(run), known, _table(run)])
 
 
-def _table(run: RunLog) -> Table:
+def _table(run: RunLog) -> WholeWordTable:
     """Table of the channels of a run."""
-    table = Table(box=None, pad_edge=False)
+    table = WholeWordTable(box=None, pad_edge=False)
     table.add_column("channel")
     table.add_column("unit")
     for heading in ("rows", "rows/s", "lowest", "highest", "last"):

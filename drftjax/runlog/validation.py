@@ -5,11 +5,12 @@ first two stop at the first violation, the last lists all.
 """
 
 from collections.abc import Iterator
-from difflib import get_close_matches
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drftjax.common.errors import did_you_mean
 
 SOURCES: Final = ("measured", "virtual rig", "simulated", "imported")
 
@@ -88,9 +89,8 @@ def source_problems(source: str) -> Iterator[str]:
 
 def nearest(name: str, known: "list[str] | tuple[str, ...]") -> str:
     """Hint that names the closest known words, or all of them where none is close."""
-    close = get_close_matches(name, known, n=3, cutoff=0.5)
-    if close:
-        return "did you mean " + " or ".join(map(repr, close)) + "?"
+    if hint := did_you_mean(name, known):
+        return hint.removeprefix("; ")
     return "known are " + ", ".join(known) if known else "there are none"
 
 

@@ -31,7 +31,7 @@ class CheckedTable(msgspec.Struct, forbid_unknown_fields=True):
         self.check()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """A copy that is not checked anew: entries that belong together are set one by one."""
+        """A copy that is not checked again: entries that belong together are set one by one."""
         other = copy.copy(self)
         for name in self.__struct_fields__:
             setattr(other, name, copy.deepcopy(getattr(self, name), memo))

@@ -288,7 +288,7 @@ class SetUp(CheckedTable):
         self.start.check()
         require_between(
             "the number of steps",
-            (command.time[-1] - command.time[0]) / step,
+            float(command.time[-1] - command.time[0]) / float(step),
             0,
             MAX_STEPS,
             " (times are in seconds)",

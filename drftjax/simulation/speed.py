@@ -16,10 +16,10 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import numpy as np
-from rich.table import Table
 
 from drftjax.common.arrays import as_real
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, missing_path
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.physics.command import Command, command_at
 from drftjax.physics.state import State
 from drftjax.physics.terrain import ConstantZeta, Terrain
@@ -111,17 +111,17 @@ def measure(runs: int, repeats: int, cpp: Path | None = None) -> list[Speed]:
         ]
 
 
-def table(speeds: list[Speed]) -> Table:
+def table(speeds: list[Speed]) -> WholeWordTable:
     """The measured speeds, each over that of the C++ program where there is one."""
     cores = jax.device_count()
-    made = Table(
+    made = WholeWordTable(
         title=f"The paper's {TIMES[-1]:g} s profile in double precision, {cores} cores"
         " (a single run uses one)"
     )
     for heading in ("program", "runs", "step", "time", "runs a second", "times real time",
                     "a step of a run", "time over C++"):  # fmt: skip
         left = heading == "program"
-        made.add_column(heading, justify="left" if left else "right", no_wrap=left)
+        made.add_column(heading, justify="left" if left else "right")
     beside = {each.runs: each.seconds for each in speeds if each.program == "C++"}
     for each in speeds:
         ratio = f"{each.seconds / beside[each.runs]:.2f}" if each.runs in beside else "-"
@@ -170,8 +170,10 @@ def build_cpp(source: Path, program: Path, real: str = "double") -> Path:
     Raises:
         InputError: there is no source or no g++, or it does not build.
     """
+    if not source.exists():
+        raise InputError(f"{source}: {missing_path(source, 'file')}")
     if not source.is_file():
-        raise InputError(f"{source}: there is no such file, needs a C++ source")
+        raise InputError(f"{source}: must be a C++ source file")
     if shutil.which("g++") is None:
         raise InputError(f"{source}: there is no g++ to build it, which must be installed")
     command = ["g++", *CPP_FLAGS, f"-DREAL={real}", str(source), "-o", str(program)]

@@ -37,7 +37,7 @@ class StepSettings:
         sinkage_of_radius: The same for a larger wheel, as a share of its radius [-].
         travel: Error of the final x [m].
         slope: Error of derivatives by the logarithm of zeta [-]: of z, RMS as a share of its own;
-            of the final x, as a share of the way travelled, or of the radius where that is more.
+            of the final x, as a share of the travel, or of the radius where that is more.
     """
 
     longest: float = 1e-2

@@ -106,7 +106,7 @@ class ParameterSweep:
         return [f"start.{name}" if name in self._named_channels() else name for name in self.axes]
 
     def _named_channels(self) -> dict[str, np.ndarray]:
-        """The channels, without zeta where it is swept: it would be told twice."""
+        """The channels, without zeta where it is swept: it would be there twice."""
         swept = {"zeta"} & {*self.axes}
         return {name: each for name, each in self.channels.items() if name not in swept}
 

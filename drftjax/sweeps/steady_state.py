@@ -18,12 +18,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import ArrayLike
 from rich.markup import escape
-from rich.table import Table
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
 from drftjax.common.packages import optional_package
-from drftjax.common.rich_text import summary_html
+from drftjax.common.rich_text import WholeWordTable, summary_html
 from drftjax.physics.command import Command
 from drftjax.physics.rig import DrivenCarriage
 from drftjax.physics.state import State
@@ -154,9 +153,9 @@ class SteadyState:
         return f"<SteadyState at {slip.size} slips, {lost} of them not steady; most at {at}>"
 
     def _repr_html_(self) -> str:
-        table = Table(title=f"{self.title}, omega {self.omega:.4g} rad/s")
+        table = WholeWordTable(title=f"{self.title}, omega {self.omega:.4g} rad/s")
         for name, _ in self._columns():
-            table.add_column(escape(f"{name} [{UNITS[name]}]"), justify="right", overflow="fold")
+            table.add_column(escape(f"{name} [{UNITS[name]}]"), justify="right")
         for row in zip(*(each for _, each in self._columns()), strict=True):
             table.add_row(*(f"{value:.4g}" for value in row))
         return summary_html([table])

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 from hils.commands.run import WITHOUT_BAUD
 from hils.link.timing import USUAL_BAUD, require_baud
@@ -72,7 +73,7 @@ def conform(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     probe = Probe(opened, MonotonicClock(), patience=patience)
     try:
-        judgements = judge(probe, rules(moving), lambda each: typer.echo(line(each)))
+        judgements = judge(probe, rules(moving), lambda each: say(line(each)))
     finally:
         # A second Ctrl-C would leave the rig to its watchdog.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -81,6 +82,6 @@ def conform(
         finally:
             opened.close()
             signal.signal(signal.SIGINT, before)
-    typer.echo(summary(judgements))
+    say(summary(judgements))
     if any(each.finding.verdict is RuleVerdict.BREAKS for each in judgements):
         raise typer.Exit(1)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from drftjax.commands.options import remove_empty_folders
+from drftjax.commands.printing import say
 
 EXAMPLES = """
 Examples:
@@ -27,9 +28,13 @@ def paper(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "out"
     ),
-    runs: Annotated[int, typer.Option(help="HILS runs, and as many free runs.", min=1)] = 10,
+    runs: Annotated[
+        int, typer.Option(help="HILS runs, and as many free runs.", min=1, max=1000)
+    ] = 10,
     tick: Annotated[float, typer.Option(help="Control period [s].")] = 0.01,
-    seed: Annotated[int, typer.Option(help="Of the first run's noise and bed.", min=0)] = 0,
+    seed: Annotated[
+        int, typer.Option(help="Of the first run's noise and bed.", min=0, max=2**32 - 1)
+    ] = 0,
     rig: Annotated[
         Path | None,
         typer.Option(
@@ -51,6 +56,7 @@ def paper(
     answer_at_once()
     from rich.console import Console
 
+    from drftjax.commands.progress import progress_line
     from drftjax.common.figures import save_figure
     from drftjax.common.output_files import make_folder, replace_file
     from drftjax.common.packages import data_file
@@ -58,6 +64,7 @@ def paper(
     from drftjax.setups.setup import read_setup
     from hils.control.limits import CommandLimits
     from hils.control.loop_config import LoopSetUp
+    from hils.control.loop_config import profile as profile_of
     from hils.experiment.experiment import Experiment, loosening_rig, run_experiment, runs_by_tick
     from hils.experiment.figures import ripple_figure, runs_figure, trajectory_figure
     from hils.experiment.report import markdown_report
@@ -73,11 +80,12 @@ def paper(
         runs=runs,
         seed=seed,
     )
+    profile_of(experiment.loop, 1)
     make_folder(output)
     console = Console()
-    with console.status("compiling") as status:
-        result = run_experiment(experiment, status.update)
-        others = runs_by_tick(experiment, report_progress=status.update) if ticks else {}
+    with progress_line(console, "compiling") as show:
+        result = run_experiment(experiment, show)
+        others = runs_by_tick(experiment, report_progress=show) if ticks else {}
 
     text = markdown_report(result, others)
     document = result.document() | {
@@ -97,4 +105,4 @@ def paper(
         save_figure(figure, output / name)
     typer.echo(text)
     written = ", ".join(str(output / name) for name in ("paper.json", "paper.md", *figures))
-    typer.echo(f"written: {written}")
+    say(f"written: {written}")

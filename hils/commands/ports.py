@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 from hils.link.timing import USUAL_BAUD, watchdog_ms
 
@@ -28,7 +29,7 @@ An FTDI adapter keeps what it received for 16 ms, longer than a tick. Write into
 
   SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"
 
-and plug it in anew; latency_timer=1 is then its setting [ms].
+and plug it in again; latency_timer=1 is then its setting [ms].
 """
 
 
@@ -54,19 +55,19 @@ def ports(
     require_between("patience", patience, 0.0, LONGEST_PATIENCE, " s")
     found = [ListedPort(name, "") for name in names] if names else listed()
     if not found:
-        typer.echo("there is no serial port")
+        say("there is no serial port")
     answered = not hello
     for port in found:
-        typer.echo(": ".join(filter(None, port)))
+        say(": ".join(filter(None, port)))
         delay = latency_timer(port.name)
         if delay is not None and delay > 1:
-            typer.echo(f"  its adapter waits {delay} ms with what it received; see --help")
+            say(f"  its adapter waits {delay} ms with what it received; see --help")
         if hello:
             try:
-                typer.echo(f"  {_asked(port.name, baud, patience)}")
+                say(f"  {_asked(port.name, baud, patience)}")
                 answered = True
             except InputError as error:
-                typer.echo(f"  {error}")
+                say(f"  {error}")
     if names and not answered:
         raise typer.Exit(2)
 

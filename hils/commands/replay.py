@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from drftjax.commands.printing import say
+
 EXAMPLES = """
 Examples:
 
@@ -36,7 +38,7 @@ def replay(
             made = again(run)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        typer.echo(f"{path}: {made.sentence()}")
+        say(f"{path}: {made.sentence()}")
         exact = exact and made.exact
     if not exact:
         raise typer.Exit(1)

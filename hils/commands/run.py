@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from drftjax.commands.completion import complete_tuner
 from drftjax.commands.options import USUAL_OMEGA_MAX, refuse_options
 from drftjax.common.errors import InputError
 from hils.link.timing import USUAL_BAUD, require_baud
@@ -45,7 +46,8 @@ def run(
         str,
         typer.Option(
             help="Tuner: step (eq. 7's fixed step), pi, kalman (docs/theory/hils-tuners.md), "
-            "or one that an installed package adds."
+            "or one that an installed package adds.",
+            autocompletion=complete_tuner,
         ),
     ] = "step",
     zeta_step: Annotated[
@@ -73,17 +75,15 @@ def run(
     zero: Annotated[
         Literal["held", "power-up"],
         typer.Option(
-            help="held: the wheel is held at touch-down and zeroed there; power-up: the rig's own "
-            "zero is touch-down."
+            help="held: the wheel is held at touch-down and zeroed there; power-up: "
+            "touch-down is the rig's own zero."
         ),
     ] = "held",
     zeta: Annotated[
         float | None,
-        typer.Option(
-            "--zeta0", help="zeta at the start.", show_default="told by the sinkage at rest"
-        ),
+        typer.Option("--zeta0", help="zeta at the start.", show_default="by the sinkage at rest"),
     ] = None,
-    repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1)] = 1,
+    repeat: Annotated[int, typer.Option(help="Runs to make, numbered files.", min=1, max=1000)] = 1,
     between: Annotated[
         str | None, typer.Option(help="Shell command that prepares the sand between two runs.")
     ] = None,

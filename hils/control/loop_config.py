@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from drftjax.common.arrays import as_real, require_between
 from drftjax.common.errors import InputError
+from drftjax.common.structured_files import explain
 from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import drop_unused_numbers
@@ -107,7 +108,9 @@ class LoopRecord(msgspec.Struct, frozen=True):
                 record["loop"]["setup"] = drop_unused_numbers(setup)
             return msgspec.convert(record, cls)
         except msgspec.DecodeError as error:
-            raise InputError(f"the run's record of its loop cannot be read: {error}") from None
+            wrong = isinstance(error, msgspec.ValidationError)
+            why = explain(str(error), cls) if wrong else "it is not JSON"
+            raise InputError(f"the run's record of its loop cannot be read: {why}") from None
 
 
 class LoopPhysics:

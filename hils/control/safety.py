@@ -1,4 +1,4 @@
-"""Safety of a run: what the rig measures of its own motion, held against what it was told.
+"""Safety of a run: what the rig measures of its own motion, held against what was commanded.
 
 `SafetyRule` is the one table of what is looked for and what follows; `SafetySettings` holds every
 number. docs/guide/run-a-rig.md shows both as `safety_table` writes them. The loop asks
@@ -149,7 +149,7 @@ class SafetySettings:
         rest_omega: Wheel speed that is no noise of a standing wheel [rad/s].
         rest_readings: Readings in which it is so, one after the other [-]: noise changes its sign.
         rest_travel: Travel that is no settling of a standing carriage [m].
-        slowing_time: From one look at a wheel that is told to stop to the next [s].
+        slowing_time: From one look at a wheel that is commanded to stop to the next [s].
         slowing_share: Share of its speed that it must lose from one look to the next [-]: the
             slowest ramp takes some seconds.
         travel_window: Time over which x is compared [s].

@@ -1,6 +1,6 @@
 r"""The experiment of Fuke, Ishikawa & Ishigami 2024 again, on a virtual rig whose sand loosens.
 
-The wheel's trajectory by three methods, each from beds prepared anew:
+The wheel's trajectory by three methods, each from beds prepared again:
 
 - **free**: the rig's carriage runs free, nothing is simulated. It is the reference of the others.
 - **HILS-DRFT**: the loop tunes zeta by eq. 7 and drives the carriage at the simulated speed.
@@ -358,7 +358,7 @@ def steady_stretch(omega: Values, tick: float) -> tuple[slice, float]:
     if top == 0 or (last - first) * tick < LEAST_STEADY:
         raise InputError(
             f"the profile holds its top speed for {(last - first) * tick:.3g} s, must turn and "
-            f"hold it for {LEAST_STEADY:g} s at least, so that a ripple can be told"
+            f"hold it for {LEAST_STEADY:g} s at least, so that a ripple can be measured"
         )
     return slice(int(first), int(last)), abs(float(top))
 

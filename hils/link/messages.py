@@ -290,8 +290,9 @@ def encode(frame: Frame) -> bytes:
         body = _HEADER.pack(VERSION, layout.number, *frame[1:]) + layout.packing.pack(
             *layout.fields(frame.message)
         )
-    except (struct.error, OverflowError) as error:
-        raise InputError(f"{layout.name} {frame.message} cannot be sent: {error}") from None
+    except (struct.error, OverflowError):
+        sent = f"{layout.name} {frame.message} cannot be sent"
+        raise InputError(f"{sent}: a number in it does not fit its field") from None
     return DELIMITER + cobs.encode(body + _CHECKSUM.pack(zlib.crc32(body))) + DELIMITER
 
 

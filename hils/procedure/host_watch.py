@@ -19,7 +19,7 @@ REMEDY = "close other programs, or allow SCHED_FIFO (docs/guide/run-a-rig.md)"
 
 @dataclass(frozen=True)
 class HostWatchSettings:
-    """Delays of the host that are told.
+    """Delays of the host that are reported.
 
     Attributes:
         min_sleep: Time asleep that counts [s]; two clocks are read one after the other, and a busy
@@ -39,7 +39,7 @@ class HostWatch:
         link: To the rig; it knows when commands were sent.
         log: Takes the event that this computer slept.
         stop: Requests to end the run: an end that was asked for needs no explanation.
-        settings: Delays that are told.
+        settings: Delays that are reported.
     """
 
     def __init__(

@@ -116,7 +116,7 @@ def starting_point(
         limits: Values that can be believed.
 
     Raises:
-        InputError: the sinkage cannot be believed, or tells no zeta(0).
+        InputError: the sinkage cannot be believed, or gives no zeta(0).
     """
     deepest = -loop.readings.lowest
     least = limits.min_sinkage if zeta is None else -limits.max_height
@@ -127,7 +127,7 @@ def starting_point(
             f"the wheel rests {settled.sinkage * 1e3:.2f} mm deep, must lie between "
             f"{least * 1e3:g} and {deepest * 1e3:.3g} mm: hold it at touch-down when it is zeroed, "
             "look at the sign of z_scale, give --zero power-up where the scale was zeroed there "
-            "before, or --zeta0 where no sinkage at rest can be told"
+            "before, or --zeta0 where no sinkage at rest can be measured"
         )
     if zeta is not None:
         return Start(settled.sinkage, zeta)
@@ -136,7 +136,7 @@ def starting_point(
     zeta = statics(settled.sinkage)
     if not math.isfinite(zeta):
         raise InputError(
-            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm tells no zeta(0): check mass and "
+            f"a sinkage at rest of {settled.sinkage * 1e3:.2f} mm gives no zeta(0): check mass and "
             "wheel, or give --zeta0"
         )
     return Start(settled.sinkage, zeta)
@@ -195,7 +195,7 @@ def zeta_doubt(
     if not against:
         return None
     sentence = (
-        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm tells zeta(0) {start.zeta:.3g}, "
+        f"a sinkage at rest of {start.sinkage * 1e3:.2f} mm gives zeta(0) {start.zeta:.3g}, "
         f"{' and '.join(against)}: the rig's z_scale, the sign of z, touch-down or the mass is "
         "wrong, or the sand is another"
     )

@@ -103,7 +103,7 @@ class Session:
         begun, before = self._clock.now(), self._link.quality()
         number, answer = self._number(), None
         while answer is None:
-            self._link.begin(number)  # again: a rig that restarts counts its frames anew
+            self._link.begin(number)  # again: a rig that restarts counts its frames from 0
             answer = self._ask(hello, _is_hello_ack)
             if answer is None and self._clock.now() >= begun + patience:
                 raise InputError(self._no_answer(before))

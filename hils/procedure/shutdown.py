@@ -238,7 +238,7 @@ class Shutdown:
 
 
 class _SlowingDetector:
-    """Looks whether a wheel that is told to stop slows down.
+    """Looks whether a wheel that is commanded to stop slows down.
 
     Args:
         link: To the rig.

@@ -185,9 +185,13 @@ class SocketEnd(AbstractEnd):
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind(("127.0.0.1", self._port))
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             listener.close()
-            raise InputError(f"port {self._port} cannot be listened at: {error}") from None
+            reason = (error.strerror or str(error)).lower()
+            raise InputError(f"port {self._port} cannot be listened at: {reason}") from None
+        except OverflowError:
+            listener.close()
+            raise InputError(f"port {self._port} must lie between 0 and 65535") from None
         listener.listen(1)
         listener.setblocking(False)
         self._listener, self._port = listener, listener.getsockname()[1]

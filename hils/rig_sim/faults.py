@@ -261,7 +261,7 @@ class Disconnect(_FaultKindBase, frozen=True, tag="disconnect"):
 
 
 class Reset(_FaultKindBase, frozen=True, tag="reset"):
-    """The firmware starts anew: the drive has no power for the fault's duration."""
+    """The firmware starts again: the drive has no power for the fault's duration."""
 
 
 WireFault = (

@@ -5,7 +5,7 @@ Nothing here sleeps or reads a clock: the same object lives in virtual time unde
 
 From power-up the wheel hangs at touch-down. The first ARM of a session releases it. When a session
 opens while the rig is at rest, somebody has lifted the wheel, moved the carriage back and prepared
-the sand anew, so runs can follow one another.
+the sand again, so runs can follow one another.
 """
 
 import enum
@@ -67,7 +67,7 @@ class VirtualRig:
 
     Args:
         setup: Its numbers.
-        physics: Of the same set-up, compiled; made anew where none is given.
+        physics: Of the same set-up, compiled; made here where none is given.
         script: Its faults.
         seed: Of noise, bed preparation and boot numbers.
         baud: Bits a second on the wire, both ways; 0 for no pacing.

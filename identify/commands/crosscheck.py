@@ -1,11 +1,13 @@
 """`drft crosscheck`: the paper's online tuner beside the offline zeta(t) of recorded runs."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from drftjax.commands.options import PlotFile, draw_picture, remove_empty_folders, require_picture
+from drftjax.commands.printing import say_on
 from drftjax.common.output_files import files_of, stem_of
 from identify.crosscheck.report import tables
 
@@ -56,7 +58,6 @@ def crosscheck(
 
     from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.prepared_run import PreparedRun, prepare_run
     from drftjax.results.provenance import command_provenance
@@ -78,9 +79,7 @@ def crosscheck(
             online[name] = run.online
         return prepare_run(name, run)
 
-    def say(text: str) -> None:
-        # File names may hold brackets, and are to be copied from one line.
-        console.print(replace_unprintable(text), style="yellow", markup=False, soft_wrap=True)
+    say = partial(say_on, console, style="yellow")
 
     with progress_line(console, "reading runs") as show:
         gathered = gather(runs, ready, sinkage=True, tell=say)
@@ -96,13 +95,13 @@ def crosscheck(
         console.print(table)
     for run in result.runs:
         if not run.offline.converged:
-            console.print(f"{run.name}: the offline zeta(t) has not settled", style="yellow")
+            say(f"{run.name}: the offline zeta(t) has not settled")
         if said := run.offline.contradiction():
             said += "; `drft diagnose` looks for the cause"
-            console.print(said, style="yellow", markup=False, soft_wrap=True)
+            say(said)
     if output is not None:
         written = write(result, output, made)
-        console.print(f"written: {', '.join(str(each) for each in written)}")
+        say_on(console, f"written: {', '.join(str(each) for each in written)}")
     if picture is not None:
         from identify.crosscheck.figure import plot_crosscheck
 

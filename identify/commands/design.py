@@ -13,6 +13,7 @@ from drftjax.commands.options import (
     remove_empty_folders,
     require_picture,
 )
+from drftjax.commands.printing import say_next, say_on
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, stem_of
 from identify.design.report import DESIGNED, design_document, design_table, design_toml
@@ -73,7 +74,7 @@ def design(
     parameter: Annotated[str, typer.Option(help="The parameter to identify.")] = "lambda",
     nuisance: Annotated[
         list[str] | None,
-        typer.Option(help="What the same run must also tell. [default: zeta, lambda]"),
+        typer.Option(help="What the same run must also identify. [default: zeta, lambda]"),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Stem of the result files.")
@@ -87,7 +88,7 @@ def design(
         float | None, typer.Option(help="Of the run [s]. [default: the given profile's]")
     ] = None,
     max_travel: Annotated[
-        float | None, typer.Option(help="Longest way of the rim [m]. [default: any]")
+        float | None, typer.Option(help="Largest travel of the rim [m]. [default: any]")
     ] = None,
     loads: Annotated[
         tuple[float, float] | None,
@@ -167,6 +168,7 @@ def design(
             picture=picture,
         )
         return
+    from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
     from drftjax.results.provenance import command_provenance
     from drftjax.setups.from_run import setup_like
@@ -196,7 +198,7 @@ def design(
         math.inf if max_travel is None else max_travel,
     )
     console = Console()
-    with console.status("compiling") as status:
+    with progress_line(console, "compiling") as show:
         result = design_run(
             chosen,
             parameter,
@@ -206,14 +208,16 @@ def design(
             search=DesignSettings(steps=steps),
             wanted=wanted / 100,
             model_error=model_error * 1e-3,
-            progress=status.update,
+            progress=show,
         )
     if result.identifiable:
         console.print(design_table(result))
-    console.print(result.summary(), soft_wrap=True)
+    for line in result.summary().splitlines():
+        say_on(console, line)
     if output is not None and result.identifiable:
         written = _write(result, output, made)
-        console.print(f"written: {', '.join(map(str, written))}", soft_wrap=True)
+        say_on(console, f"written: {', '.join(map(str, written))}")
+        say_next("simulate", written[0], "-o", written[0].with_suffix(".h5"))
     if picture is not None and result.identifiable:
         from identify.design.figures import plot_design
 

@@ -6,6 +6,8 @@ from pathlib import Path
 from rich.console import Console
 
 from drftjax.commands.options import draw_picture
+from drftjax.commands.printing import say_on
+from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, require_places, stem_of
 from drftjax.recorded.observation import comparable_channels
@@ -59,21 +61,22 @@ def screen_setup(
         assert like is not None
         chosen, instrument = _as_recorded(like, channels, noise, noise_given)
     console = Console()
-    with console.status("compiling") as status:
+    with progress_line(console, "compiling") as show:
         result = screen(
             chosen,
             ranges=bounds,
             instrument=instrument,
             settings=settings,
             seed=seed,
-            progress=status.update,
+            progress=show,
         )
     console.print(screening_table(result))
-    console.print(result.summary(), soft_wrap=True, markup=False)
+    for line in result.summary().splitlines():
+        say_on(console, line)
     if names:
         made = command_provenance("design", [setup, like], seed)
         _write(result, names, made)
-        console.print(f"written: {', '.join(map(str, names))}", soft_wrap=True, markup=False)
+        say_on(console, f"written: {', '.join(map(str, names))}")
     if picture is not None:
         from identify.design.figures import plot_screening
 

@@ -5,12 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drftjax.commands.completion import complete_channel
 from drftjax.commands.options import (
     PlotFile,
     draw_picture,
     remove_empty_folders,
     require_picture,
 )
+from drftjax.commands.printing import say_on
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import stem_of
 
@@ -24,10 +26,10 @@ EXAMPLES = """
 Examples:
 
 \b
-  drft fit data/runs/*.h5 -o out/fit           zeta for each run, lambda shared
+  drft fit data/runs/*.h5 -o out/fit           zeta for each, lambda for all
   drft fit runs/*.h5 --share zeta -o out/fit   one zeta for all runs
   drft fit runs/*.h5 --own zeta --share rig.drawbar_load -o out/fit
-  drft fit runs/*.h5 --share drawbar.force     a number of an effect (drft effects)
+  drft fit runs/*.h5 --share drawbar.force     a number of an effect
   drft fit runs/*.h5 --model out/model.toml    with the effects of a diagnosis
   drft fit runs/*.h5 --compare z               by the sinkage alone
   drft fit runs/*.h5 --zeta phases             zeta of standing, going, ...
@@ -36,7 +38,7 @@ Examples:
   drft fit runs/*.h5 --share lambda --cluster local -o out/fit
   drft fit runs/*.h5 --starts 8 --profile lambda --bootstrap 500 -o out/fit
   drft fit runs/*.h5 --posterior -o out/fit    Markov chains, out/fit.nc
-  drft fit runs/*.h5 --parameters fit.toml     names, bounds, priors of a file:
+  drft fit runs/*.h5 --parameters fit.toml     what a file names:
 
 \b
       [[parameter]]
@@ -84,7 +86,10 @@ def fit(
     zeta: Annotated[
         str,
         typer.Option(
-            help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t))."
+            help="'constant', 'phases' (one for each phase of the command) or 'path' (zeta(t)).",
+            autocompletion=lambda incomplete: [
+                each for each in ("constant", "phases", "path") if each.startswith(incomplete)
+            ],
         ),
     ] = "constant",
     knots: Annotated[
@@ -116,7 +121,8 @@ def fit(
         list[str] | None,
         typer.Option(
             help="A channel that is compared: x, z, fx, fz or torque. [default: all that the "
-            "simulation predicts]"
+            "simulation predicts]",
+            autocompletion=complete_channel,
         ),
     ] = None,
     cluster: Annotated[
@@ -140,7 +146,6 @@ def fit(
     configure_jax(devices=os.cpu_count())
     from drftjax.commands.progress import progress_line
     from drftjax.common.output_files import require_places
-    from drftjax.common.text import replace_unprintable
     from drftjax.recorded.gather import gather
     from drftjax.recorded.observation import require_channels
     from drftjax.recorded.prepared_run import names_of, prepare_run
@@ -199,12 +204,7 @@ def fit(
     made = command_provenance("fit", [*runs, parameters, model], seed)
 
     console = Console()
-
-    def say(text: str, style: str | None = None) -> None:
-        # File names may hold brackets, and are to be copied from one line.
-        console.print(
-            replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-        )
+    say = partial(say_on, console)
 
     with progress_line(console, "reading runs") as show:
         ready = partial(
@@ -243,7 +243,7 @@ def fit(
         if posterior:
 
             def tell_chains(stage: str, done: int, of_all: int) -> None:
-                show(f"posterior: {stage} {done} of {of_all}")
+                show(f"posterior: {stage}", done, of_all)
 
             show("posterior: compiling")
             result = result.sample_posterior(progress=tell_chains)

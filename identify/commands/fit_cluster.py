@@ -20,9 +20,9 @@ from drftjax.cluster.connection import (
 from drftjax.cluster.pieces import LogFile
 from drftjax.cluster.store import WorkStore
 from drftjax.commands.options import draw_picture
+from drftjax.commands.printing import say_on
 from drftjax.commands.progress import progress_line
 from drftjax.common.errors import InputError
-from drftjax.common.text import replace_unprintable
 from identify.cluster.fit_options import FIT_STORE, FitOptions
 from identify.cluster.lone_fits import fit_on
 
@@ -91,7 +91,7 @@ def fit_on_cluster(
     result = replace(result, provenance=command_provenance("fit", inputs))
     written = ", ".join(str(each) for each in write_with_report(result, stem))
     what = "the solver's steps" if together else "every fit"
-    _say(console, f"written: {written}; {store.path} keeps {what} for a call that goes on")
+    say_on(console, f"written: {written}; {store.path} keeps {what} for a call that goes on")
     if picture is not None:
         draw_picture(result.plot(), picture)
 
@@ -110,9 +110,9 @@ def _fit_together(
     if not logs:
         raise InputError(_none(failures, len(failures)))
     if len(store):
-        _say(console, f"{store.path} has {len(store)} steps of the solver, made before")
+        say_on(console, f"{store.path} has {len(store)} steps of the solver, made before")
     with connect(where) as client:
-        _say(console, f"dashboard: {dashboard(client)}")
+        say_on(console, f"dashboard: {dashboard(client)}")
         with progress_line(console, "waiting for workers", total=len(logs)) as show:
 
             def prepared(dealt_with: int, workers: int) -> None:
@@ -137,7 +137,7 @@ def _fit_apart(
     failures, files = dict(failures), len(logs) + len(failures)
     todo = [log for log in logs.values() if log.digest not in store]
     if len(todo) < len(logs):
-        _say(console, f"{store.path} has {len(logs) - len(todo)} of these {files} runs")
+        say_on(console, f"{store.path} has {len(logs) - len(todo)} of these {files} runs")
     why = _fit(console, where, todo, settings, store) if todo else {}
     for name, log in logs.items():
         if log.digest in why:
@@ -162,7 +162,7 @@ def _fit(
     store: WorkStore,
 ) -> dict[str, str]:
     with connect(where) as client:
-        _say(console, f"dashboard: {dashboard(client)}")
+        say_on(console, f"dashboard: {dashboard(client)}")
         number = len({log.digest for log in todo})
         with progress_line(console, "waiting for workers", total=number) as show:
 
@@ -170,7 +170,7 @@ def _fit(
                 show(f"fits on {workers} workers", dealt_with)
 
             why = fit_on(client, todo, settings, store, report)
-    _say(console, f"dealt with {number}/{number} run logs on the cluster")
+    say_on(console, f"dealt with {number}/{number} run logs on the cluster")
     return why
 
 
@@ -218,17 +218,17 @@ def _show(console: Console, result: "FitResult") -> None:
         console.print(result.table())
     else:
         for line in _summary(result):
-            _say(console, line)
+            say_on(console, line)
     for value in result.shared.values():
-        _say(console, str(value))
+        say_on(console, str(value))
     if result.shared and result.status not in WORST_LAST[:2]:
-        _say(console, f"the solver is {result.status} after {result.steps} steps", "yellow")
+        say_on(console, f"the solver is {result.status} after {result.steps} steps", "yellow")
     left_out = [f"left out: {why}" for why in result.failures.values()]
     for lines, style in ((result.findings, None), (left_out, "yellow")):
         for line in lines[:MOST_SENTENCES]:
-            _say(console, line, style)
+            say_on(console, line, style)
         if len(lines) > MOST_SENTENCES:
-            _say(console, f"... and {len(lines) - MOST_SENTENCES} more such, in the JSON file")
+            say_on(console, f"... and {len(lines) - MOST_SENTENCES} more such, in the JSON file")
 
 
 def _summary(result: "FitResult") -> list[str]:
@@ -251,9 +251,3 @@ def _summary(result: "FitResult") -> list[str]:
             f"{channel}: RMSE {before[channel] * scale:.3f} → {after[channel] * scale:.3f} {unit}"
         )
     return lines
-
-
-def _say(console: Console, text: str, style: str | None = None) -> None:
-    console.print(
-        replace_unprintable(text), style=style, markup=False, highlight=False, soft_wrap=True
-    )

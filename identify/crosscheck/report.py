@@ -3,8 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from identify.crosscheck.comparison import Comparison
     from identify.crosscheck.crosscheck import CrossCheck
     from identify.crosscheck.replays import TunerSetting
@@ -15,7 +14,7 @@ MM = 1e3
 # Tables -------------------------------------------------------------------------------------------
 
 
-def tables(result: "CrossCheck") -> "list[Table]":
+def tables(result: "CrossCheck") -> "list[WholeWordTable]":
     """Tables of a cross-check: both zetas of each run, ticks, sweep, and the truth if known."""
     made = [_beside(result), _ticks(result)]
     if any(run.truth is not None for run in result.runs):
@@ -25,16 +24,17 @@ def tables(result: "CrossCheck") -> "list[Table]":
     return made
 
 
-def _table(title: str, *columns: str) -> "Table":
+def _table(title: str, *columns: str) -> "WholeWordTable":
     from rich.markup import escape
-    from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    from drftjax.common.rich_text import WholeWordTable
+
+    table = WholeWordTable(title=title, title_justify="left")
     first, *numbers = columns
-    table.add_column(escape(first), overflow="fold")
+    table.add_column(escape(first))
     for name in numbers:
         # Units below, and only names of runs fold: all columns are whole in 80 characters.
-        table.add_column(escape(name.replace(" [", "\n[")), justify="right", no_wrap=True)
+        table.add_column(escape(name.replace(" [", "\n[")), justify="right")
     return table
 
 
@@ -51,7 +51,7 @@ def _likeness(each: "Comparison") -> list[str]:
     ]
 
 
-def _beside(result: "CrossCheck") -> "Table":
+def _beside(result: "CrossCheck") -> "WholeWordTable":
     table = _table(
         "online tuner beside offline zeta(t)",
         *("run", "tuner", "difference", "lag [s]", "ripple", "at [Hz]"),
@@ -65,7 +65,7 @@ def _beside(result: "CrossCheck") -> "Table":
     return table
 
 
-def _ticks(result: "CrossCheck") -> "Table":
+def _ticks(result: "CrossCheck") -> "WholeWordTable":
     limit = result.setting.zeta_step / result.setting.tick
     table = _table(
         f"ticks of {result.setting.tick * MM:g} ms; slew limit {limit:.3g} /s",
@@ -78,7 +78,7 @@ def _ticks(result: "CrossCheck") -> "Table":
     return table
 
 
-def _truth(result: "CrossCheck") -> "Table":
+def _truth(result: "CrossCheck") -> "WholeWordTable":
     table = _table("against the true zeta(t), RMS", "run", "tuner", "offline", "closer")
     for run in result.runs:
         far = (run.tuner.from_truth, run.offline_from_truth)
@@ -86,7 +86,7 @@ def _truth(result: "CrossCheck") -> "Table":
     return table
 
 
-def _sweep(result: "CrossCheck") -> "Table":
+def _sweep(result: "CrossCheck") -> "WholeWordTable":
     import numpy as np
 
     table = _table(

@@ -61,7 +61,7 @@ class Limits:
             ("speed", math.degrees(float(np.abs(omega).max())), math.degrees(self.speed), "deg/s"),
             ("acceleration", math.degrees(fastest), math.degrees(self.acceleration), "deg/s2"),
             ("duration", float(time[-1] - time[0]), self.duration, "s"),
-            ("way", travel_of(command, radius), self.travel, "m"),
+            ("travel", travel_of(command, radius), self.travel, "m"),
         )
         return [
             f"its {name} of {value:.3g} {unit} is beyond {most:.3g} {unit}"
@@ -81,7 +81,7 @@ class Limits:
         )
         require_between("the duration", self.duration, 1.0, 600.0, " s")
         if self.travel != math.inf:
-            require_between("the longest way", self.travel, 0.01, 1000.0, " m")
+            require_between("the largest travel", self.travel, 0.01, 1000.0, " m")
         if self.loads is not None:
             low, high = self.loads
             require_between("the lowest load", low, 1.0, 1e4, " N")

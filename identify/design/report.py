@@ -4,8 +4,7 @@ import copy
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from identify.design.design import Design
     from identify.design.fisher_information import ParameterInformation
     from identify.design.options import RunOption
@@ -14,17 +13,16 @@ if TYPE_CHECKING:
 DESIGNED = ", designed for "
 
 
-def design_table(result: "Design") -> "Table":
+def design_table(result: "Design") -> "WholeWordTable":
     """Return a table of all runs: standard error, and factor gained over the given profile."""
     import math
 
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from drftjax.runlog.schema import UNITS
 
     unit = "" if result.unit == "-" else f" [{result.unit}]"
     beside = ", ".join(result.nuisances) or "nothing else unknown"
-    table = Table(title=f"standard error of {result.parameter}{unit}, beside {beside}")
+    table = WholeWordTable(title=f"standard error of {result.parameter}{unit}, beside {beside}")
     table.add_column("run")
     table.add_column("standard error", justify="right")
     table.add_column("of the value", justify="right")

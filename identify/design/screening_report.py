@@ -4,8 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from drftjax.common.rich_text import WholeWordTable
     from identify.design.number_ranges import NumberRange
     from identify.design.screening import GlobalSensitivity
 
@@ -18,15 +17,15 @@ TABLE_ROWS = 20
 SMALLEST_TOLD = 1e-3
 
 
-def screening_table(result: "GlobalSensitivity") -> "Table":
+def screening_table(result: "GlobalSensitivity") -> "WholeWordTable":
     """Return the numbers of largest effect with their ranges and changes by channel."""
-    from rich.table import Table
+    from drftjax.common.rich_text import WholeWordTable
 
-    table = Table(
+    table = WholeWordTable(
         title="largest changes across the range, in noise: mean ± 95 % interval (spread)",
         caption="spread: by the other numbers' values and the place in the range",
     )
-    table.add_column("number", no_wrap=True)
+    table.add_column("number")
     table.add_column("range")
     for channel in result.channels:
         table.add_column(f"{channel} ({noise_text(result, channel)})", justify="right")

@@ -159,7 +159,7 @@ class Parameter(eqx.Module):
     quantity: Quantity
     shared: bool = eqx.field(static=True)
     bijector: AbstractBijector
-    # Scalars of NumPy: filter_jit compiles a program anew for every Python float.
+    # Scalars of NumPy: filter_jit compiles a program again for every Python float.
     prior_mean: np.float64 = eqx.field(converter=np.float64, default=0.0)
     prior_error: np.float64 = eqx.field(converter=np.float64, default=math.inf)
     start: float = math.nan

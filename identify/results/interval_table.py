@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.markup import escape
-from rich.table import Table
 
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.common.text import replace_unprintable
 from identify.results.values import Value
 
@@ -22,7 +22,7 @@ def interval_table(
     profiles: Sequence["ProfileLikelihood"] = (),
     bootstraps: Sequence["Bootstrap"] = (),
     posterior: "ParameterPosterior | None" = None,
-) -> Table:
+) -> WholeWordTable:
     """Return a table of standard errors and intervals; a dash where a method was not asked for.
 
     Args:
@@ -48,7 +48,7 @@ def interval_table(
     levels = {level for method in ends.values() for _, _, level in method.values()}
     alike = len(levels) == 1
     title = f"errors, and intervals of {100 * levels.pop():.0f} %" if alike else "errors, intervals"
-    table = Table(title=title)
+    table = WholeWordTable(title=title)
     for heading in ("value", "fit ± standard error", *ends):
         table.add_column(heading, justify="left" if heading == "value" else "right")
     for label, value in values.items():

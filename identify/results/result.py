@@ -9,13 +9,12 @@ import jax
 import msgspec
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from drftjax import __version__
 from drftjax.common.errors import InputError
 from drftjax.common.output_files import files_of, make_folder, replace_file
 from drftjax.common.packages import optional_package
-from drftjax.common.rich_text import summary_html, summary_text
+from drftjax.common.rich_text import WholeWordTable, summary_html, summary_text
 from drftjax.common.structured_files import as_json
 from drftjax.common.text import replace_unprintable
 from drftjax.recorded.observation import SHOWN
@@ -120,24 +119,24 @@ class FitResult:
             pooled[channel] = float(np.sqrt(power / sum(run.counts.sum() for run in runs)))
         return pooled
 
-    def table(self) -> Table:
+    def table(self) -> WholeWordTable:
         """Return a table of own values, and of RMSE before and after, by run and channel.
 
-        Where noise floors are known, what is left is told in them, too.
+        Where noise floors are known, what is left is given in them, too.
         """
         channels = self.channels
         title = "simulated minus recorded, RMSE before → after the fit"
-        table = Table(title=title + " (after, in noise floors)" * bool(self.floors))
+        table = WholeWordTable(title=title + " (after, in noise floors)" * bool(self.floors))
         # Names fold in a narrow terminal: cut off, zeta.stand and zeta.steady would look alike.
-        table.add_column("run", overflow="fold")
-        table.add_column("status", overflow="fold")
+        table.add_column("run")
+        table.add_column("status")
         own = list(self.runs[0].values)
         for name in own:
             label = self.runs[0].values[name].label
-            table.add_column(label, justify="right", overflow="fold")
+            table.add_column(label, justify="right")
         for channel in channels:
             heading = escape(f"{channel} [{SHOWN[channel][0]}]")
-            table.add_column(heading, justify="right", overflow="fold")
+            table.add_column(heading, justify="right")
 
         def cells(before: dict[str, float], after: dict[str, float]) -> list[str]:
             return [self._cell(c, before[c], after[c]) if c in before else "-" for c in channels]
@@ -257,7 +256,7 @@ class FitResult:
             return self
         return replace(self, provenance=msgspec.structs.replace(self.provenance, seed=seed))
 
-    def interval_tables(self) -> list[Table]:
+    def interval_tables(self) -> list[WholeWordTable]:
         """Return a table of errors and intervals, where any method beside the fit was asked for."""
         if not (self.profiles or self.bootstraps or self.posterior):
             return []

@@ -62,7 +62,7 @@ class Value:
         if self.at_bound:
             return f"{self.value:.5g}, at a bound"
         if not self.error < IDENTIFIABILITY.reported_error * self.size:
-            return "not told"
+            return "not identified"
         return value_with_error(self.value, self.error)
 
     def __str__(self) -> str:

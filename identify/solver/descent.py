@@ -3,7 +3,7 @@
 `optimistix.LevenbergMarquardt` is its damped Newton descent under its trust region, and
 Gauss-Newton its Newton descent, here under its backtracking line search. Both are used by their
 parts, on normal equations: whoever holds the problems simulates them between two steps, as many at
-once as memory allows, and may put one aside or weight it anew, which a closed loop cannot.
+once as memory allows, and may put one aside or weight it again, which a closed loop cannot.
 """
 
 from typing import Any, NamedTuple

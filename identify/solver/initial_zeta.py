@@ -13,7 +13,7 @@ ROUGH_MATCH = ZetaMatchSettings(max_steps=3)
 def zeta_from_mean_sinkage(
     problem: Problem, start: Coordinates, settings: ZetaMatchSettings = ROUGH_MATCH
 ) -> Coordinates:
-    """Coordinates at which each run's own zeta roughly meets its mean recorded sinkage.
+    """Coordinates at which each run's own zeta roughly matches its mean recorded sinkage.
 
     Costs a few simulations and no derivative, and spares the solver the long first steps after
     which the sum of squares of a fast run may be rough.
@@ -25,7 +25,7 @@ def zeta_from_mean_sinkage(
         settings: Numbers of the secant search.
 
     Returns:
-        `start` with the own zeta replaced in each run whose mean sinkage is met better by it.
+        `start` with the own zeta replaced in each run whose mean sinkage is matched better by it.
     """
     names = [each.quantity.name for each in problem.own]
     if "terrain.zeta" not in names or "z" not in problem.batch.channels:

@@ -21,9 +21,9 @@ class DerivativeCheckSettings:
     Attributes:
         change: Largest change of a coordinate [-]; of a positive number its logarithm: half a per
             cent, as wide as a secant over corners that a run passes must be.
-        doubtful: Relative difference of a run's change from the predicted one that is told: twice
-            what corners leave in a derivative that is right.
-        least: Difference per sample below which none is told, in the RMS of the channel's
+        doubtful: Relative difference of a run's change from the predicted one that is reported:
+            twice what corners leave in a derivative that is right.
+        least: Difference per sample below which none is reported, in the RMS of the channel's
             residuals [-]: where a run hardly changes, only corners do.
     """
 

@@ -30,7 +30,7 @@ class HeightZeroSettings:
     Attributes:
         believed: Error of a zero that a person sets by touching the surface [m].
         noticeable: Change of zeta by so much of the zero that is worth a sentence [-],
-        errors: if it is also so many of the errors told.
+        errors: if it is also so many of the reported errors.
     """
 
     believed: float = 1e-3

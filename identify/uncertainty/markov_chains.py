@@ -30,9 +30,9 @@ class PosteriorSettings:
         chains: Chains side by side; R-hat compares them, and four are what its limits are made for.
         warmup: Transitions of each chain that find the step and forget the start; in whitened
             coordinates the step is found within some forty.
-        draws: Draws that each chain keeps. The spread of a value is told by half as many effective
-            ones, and R-hat of three values of four chains of 350 that agree passes its limit in
-            some 98 of 100 cases.
+        draws: Draws that each chain keeps. The spread of a value is known from half as many
+            effective ones, and R-hat of three values of four chains of 350 that agree passes its
+            limit in some 98 of 100 cases.
         spread: Spread of the chains' starts about the fit, in its covariance: wider than the
             posterior, so that R-hat sees chains that have not met.
         acceptance: Mean acceptance that the step is found for [-]; Stan's.

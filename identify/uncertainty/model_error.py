@@ -17,7 +17,7 @@ class MisfitSettings:
 
     Attributes:
         poor: Residual in noise floors from which on a fit is poor [-]; repeats of one command on
-            beds that were prepared anew reach two.
+            beds that were prepared again reach two.
         noticeable: Residual, as a share of the range that the readings cover, below which it is not
             [-]: travel sums up what the wheel slips, and no radius is known to half a per mille.
         worse: Residual over that before the fit from which on a channel got worse [-].

@@ -17,9 +17,9 @@ from statistics import NormalDist
 import jax.numpy as jnp
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
 from drftjax.common.errors import InputError
+from drftjax.common.rich_text import WholeWordTable
 from drftjax.common.text import replace_unprintable
 from identify.parameters.bijector import Interval, Positive
 from identify.parameters.parameter import PHASES, SHORT_NAMES, Parameter
@@ -79,9 +79,9 @@ class ProfileLikelihood:
         high = f"{self.high:.5g}" if np.isfinite(self.high) else "no upper end"
         return f"{self.label}: {100 * self.level:.0f} % profile interval {low} to {high}{unit}"
 
-    def table(self) -> Table:
+    def table(self) -> WholeWordTable:
         """Return places and rises as a table."""
-        table = Table(title=escape(replace_unprintable(f"profile of {self.label}")))
+        table = WholeWordTable(title=escape(replace_unprintable(f"profile of {self.label}")))
         table.add_column(escape(f"{self.label} [{self.unit}]"), justify="right")
         table.add_column("rise of the sum of squares", justify="right")
         for value, rise in zip(self.value, self.rise, strict=True):

@@ -82,6 +82,6 @@ class ZetaPath:
             return None
         sinkage, travel = (f"{1e3 * each:.2g} mm" for each in (sinkage, travel))
         return (
-            f"{self.name}: a zeta(t) that meets the sinkage to {sinkage} leaves travel {travel} "
+            f"{self.name}: a zeta(t) that matches the sinkage to {sinkage} leaves travel {travel} "
             "off: what moves zeta here is not the sand's strength alone"
         )

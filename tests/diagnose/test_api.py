@@ -288,7 +288,7 @@ def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
     deeper = dataclasses.replace(runs[name].measured, z=runs[name].measured.z - 0.1)
     found = drftjax.evaluate({name: dataclasses.replace(runs[name], measured=deeper)}, [])
     assert not found.before[0].matched
-    said = f"{name}: no zeta was found at which the reference model meets its mean sinkage"
+    said = f"{name}: no zeta was found at which the reference model matches its mean sinkage"
     assert [note for note in found.notes if note.startswith(said)]
     assert not any("with the effects" in note for note in found.notes)
     assert all(each.matched for each in drftjax.evaluate(runs, []).before)
@@ -303,7 +303,7 @@ def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatc
     found = drftjax.diagnose(runs, ["surface_slope"])
     for name in runs:
         for model in ("the reference model", "the model with the effects"):
-            said = f"{name}: no zeta was found at which {model} meets its mean sinkage"
+            said = f"{name}: no zeta was found at which {model} matches its mean sinkage"
             assert [note for note in found.notes if note.startswith(said)]
 
 

@@ -89,7 +89,7 @@ def test_a_run_without_x_leaves_the_others_where_they_are(run):
 
 
 def test_a_copy_of_a_run_is_no_repeat(run):
-    again = dataclasses.replace(run, title="saved anew")
+    again = dataclasses.replace(run, title="saved again")
     told = gather_inputs({"a": run, "b": again, "c": from_x(run, 0.3)})
     assert [each.name for each in told.runs] == ["a", "c"]
     assert told.skipped == {"b": "b: has the very readings of a"}

@@ -69,7 +69,7 @@ def test_the_terms_are_added_one_by_one(fast):
         list(each.effects) for each in fast.stepwise
     ]
     assert step_sentences(fast)[0].startswith(
-        f"Added one by one, each fitted anew: {alone.effects[0]}"
+        f"Added one by one, each fitted again: {alone.effects[0]}"
     )
 
 

@@ -37,7 +37,7 @@ class Drft:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
         self._monkeypatch, self._capsys = monkeypatch, capsys
         monkeypatch.setenv("COLUMNS", "200")
-        jax.devices()  # so that no command splits the CPU anew, and programs compile once
+        jax.devices()  # so that no command splits the CPU again, and programs compile once
 
     def __call__(self, *arguments: object) -> Answer:
         self._monkeypatch.setattr(sys, "argv", ["drft", *map(str, arguments)])

@@ -121,7 +121,7 @@ def test_a_sound_rig_completes_and_nothing_is_found(drive):
         ({"xmul": 2}, Event.CARRIAGE_DEVIATES, r"is x_scale right"),
         ({"stuck_at": STRIKES}, Event.STAYS_STUCK, r"the scale is stuck"),
         ({"spin_arm": 1}, None, r"the wheel turns at 1.5 rad/s while it is to"),
-        ({"zmul": 4}, None, r"tells zeta\(0\).*z_scale"),
+        ({"zmul": 4}, None, r"gives zeta\(0\).*z_scale"),
     ],
 )
 def test_what_the_rig_measures_ends_the_run(drive, options, event, said):

@@ -166,4 +166,4 @@ def test_what_no_rig_has_is_told():
 
 def test_a_value_near_zero_has_a_place_in_the_table():
     assert Value(1e-5, 0.035, "N", "rig.drawbar_load").cell() == "0.000 ± 0.035"
-    assert Value(1e-5, 0.035, "-", "lambda").cell() == "not told"
+    assert Value(1e-5, 0.035, "-", "lambda").cell() == "not identified"

@@ -248,7 +248,7 @@ def test_stem_keeps_its_dots(given, name):
 def test_wrong_input_is_one_sentence(drft, tmp_path):
     missing = tmp_path / "none.h5"
     answer = drft("crosscheck", missing)
-    assert answer.refusal.startswith(f"{missing}: cannot be read")
+    assert answer.refusal.startswith(f"{missing}: there is no such file")
     assert "left out" not in answer.out
     assert drft("crosscheck", missing, "--tick", "0").refusal.startswith("tick is 0, must lie")
     assert "is a folder; name the result too" in drft("crosscheck", missing, "-o", ".").refusal

@@ -286,7 +286,7 @@ def test_a_driven_carriage_is_refused():
         (("--max-speed", "nan"), "speed"),
         (("--max-acceleration", "50000"), "acceleration"),
         (("--duration", "0"), "duration"),
-        (("--max-travel", "0"), "the longest way is 0"),
+        (("--max-travel", "0"), "the largest travel is 0"),
         (("--loads", "220", "150"), "loads"),
         (("--noise-z", "0"), "noise of z is 0, must lie between 1e-09 and 1e+06 m"),
         (("--noise-torque", "0"), "noise of torque is 0, must lie between 1e-09 and 1e+06 N m"),

@@ -37,7 +37,7 @@ NINETY, FAR = 1.645, 2.5
 LINEAR = 0.25
 # Where the simulation is straight over the errors, as here, the profile is the normal interval.
 STRAIGHT = 0.1
-# A run alone, its step chosen anew, near the bound of lambda where slopes change.
+# A run alone, its step chosen again, near the bound of lambda where slopes change.
 REACH = 0.25
 # Two solvers stop within this part of an error of one another.
 SAME_FIT = 0.5

@@ -11,7 +11,7 @@ from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
-# Runs whose sands differ by 2 %, as repeats on a bed that is prepared anew.
+# Runs whose sands differ by 2 %, as repeats on a bed that is prepared again.
 ZETAS = (0.74, 0.755)
 # Between two values that are told alike the best one value lies halfway; sums of squares that are
 # no parabolas move it by a few per cent of the way.

@@ -232,7 +232,7 @@ def test_rising_bed_is_met_by_ever_harder_sand_at_the_cost_of_travel(moved):
     assert path.rmse["x"] > 20 * path.rmse["z"]
     said = path.contradiction()
     assert said is not None
-    assert said.startswith("slope: a zeta(t) that meets the sinkage to 0.0")
+    assert said.startswith("slope: a zeta(t) that matches the sinkage to 0.0")
     # It lasts for as long as the run: seconds, of 20 ms each.
     assert path.noise["x"][1] > 0.99
 

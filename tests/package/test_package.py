@@ -11,6 +11,8 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 import drftjax
 
@@ -245,6 +247,22 @@ def test_lock_has_hashes_and_no_addresses():
     entries = re.split(r"^(?=[a-z0-9])", lock, flags=re.MULTILINE)[1:]
     assert entries
     assert all("==" in entry and "--hash=sha256:" in entry for entry in entries)
+
+
+def test_lock_holds_what_every_direct_dependency_asks_for():
+    locked = dict(
+        re.findall(r"^([a-z0-9-]+)==([^ ]+)", (ROOT / "requirements.lock").read_text(), re.M)
+    )
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    for extra, requirements in ({"": project["dependencies"]} | extras).items():
+        for requirement in map(Requirement, requirements):
+            version = Version(locked[requirement.name])
+            assert version in requirement.specifier, requirement
+            # A release 0.x may break what the one before had; the tools of the project are locked.
+            if version.major == 0 and extra not in ("dev", "docs"):
+                following = Version(f"0.{version.minor + 1}")
+                assert following not in requirement.specifier, requirement
 
 
 def test_lock_names_every_direct_dependency():

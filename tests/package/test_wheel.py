@@ -1,5 +1,6 @@
 """The wheel: everything that an installed copy needs, and types that a type checker sees."""
 
+import json
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("drftjax", "identify", "hils", "diagnose")
+ANSWERS = sorted((ROOT / "data" / "blind").glob("*.json"))
 
 PROGRAM = """
 import drftjax
@@ -39,6 +41,12 @@ def wheel(tmp_path_factory) -> zipfile.ZipFile:
     return zipfile.ZipFile(path)
 
 
+def data_in(wheel: zipfile.ZipFile) -> set[str]:
+    """Data files of the wheel, relative to their folder."""
+    home = "drftjax/_data/"
+    return {each.removeprefix(home) for each in wheel.namelist() if each.startswith(home)}
+
+
 def test_the_wheel_holds_modules_types_templates_and_data(wheel):
     held = set(wheel.namelist())
     for package in PACKAGES:
@@ -51,8 +59,18 @@ def test_the_wheel_holds_modules_types_templates_and_data(wheel):
     assert {f"drftjax/report_page/templates/{each}" for each in scripts} <= held
     for name in ("paper.toml", "runs/fast.h5", "import/cmu_intrusion.toml", "blind/demo/run_a.h5"):
         assert wheel.read(f"drftjax/_data/{name}") == (ROOT / "data" / name).read_bytes()
+    assert data_in(wheel) == {
+        each.relative_to(ROOT / "data").as_posix()
+        for each in (ROOT / "data").rglob("*")
+        if each.is_file() and each not in ANSWERS
+    }
     strange = {each.partition("/")[0] for each in held if ".dist-info/" not in each} - {*PACKAGES}
     assert strange == set()
+
+
+def test_the_wheel_holds_no_answers_of_blind_tests(wheel):
+    assert len(ANSWERS) >= 3
+    assert not data_in(wheel) & {f"blind/{each.name}" for each in ANSWERS}
 
 
 def test_the_wheel_names_its_commands_and_licence(wheel):
@@ -65,17 +83,24 @@ def test_the_wheel_names_its_commands_and_licence(wheel):
     assert f"{info}/licenses/LICENSE" in wheel.namelist()
 
 
-def test_mypy_sees_the_types_of_an_installed_wheel(wheel, tmp_path):
-    venv.create(tmp_path / "env", with_pip=False)
-    (site,) = (tmp_path / "env").glob("lib/python*/site-packages")
+@pytest.fixture(scope="module")
+def outside(wheel, tmp_path_factory) -> Path:
+    """Folder with a program, and an environment `env` in which the wheel is installed."""
+    folder = tmp_path_factory.mktemp("outside")
+    venv.create(folder / "env", with_pip=False)
+    (site,) = (folder / "env").glob("lib/python*/site-packages")
     wheel.extractall(site)
     # The dependencies; plain lines of their own .pth files, such as the checkout's, do not count.
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    (tmp_path / "program.py").write_text(PROGRAM)
-    python = tmp_path / "env" / "bin" / "python"
+    (folder / "program.py").write_text(PROGRAM)
+    return folder
+
+
+def test_mypy_sees_the_types_of_an_installed_wheel(outside):
+    python = outside / "env" / "bin" / "python"
     answer = subprocess.run(
         [sys.executable, "-m", "mypy", "--python-executable", str(python), "program.py"],
-        cwd=tmp_path,
+        cwd=outside,
         env={name: value for name, value in os.environ.items() if name != "MYPYPATH"},
         capture_output=True,
         text=True,
@@ -92,3 +117,36 @@ def test_mypy_sees_the_types_of_an_installed_wheel(wheel, tmp_path):
     ], answer.stdout
     errors = [line for line in answer.stdout.splitlines() if ": error: " in line]
     assert sorted(each.split("[")[-1][:-1] for each in errors) == ["arg-type", "attr-defined"]
+
+
+def test_pyright_sees_the_types_of_an_installed_wheel(outside):
+    python = outside / "env" / "bin" / "python"
+    answer = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "pyright",
+            "--pythonpath",
+            str(python),
+            "--outputjson",
+            "program.py",
+        ],
+        cwd=outside,
+        env=os.environ | {"PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    found = json.loads(answer.stdout)["generalDiagnostics"]
+    revealed = [
+        each["message"].split('"')[-2] for each in found if each["severity"] == "information"
+    ]
+    assert revealed == [
+        "FitResult",
+        "type[Simulator]",
+        "ndarray[tuple[Any, ...], dtype[float64]] | None",
+        "(self: Diagnosis, width: int = 100) -> str",
+        "type[TickLoop]",
+        "Parameter",
+    ], answer.stdout
+    errors = [each["rule"] for each in found if each["severity"] == "error"]
+    assert sorted(errors) == ["reportArgumentType", "reportAttributeAccessIssue"], answer.stdout

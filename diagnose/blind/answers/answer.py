@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, require_input_folder
 
 # Sets after which a process is replaced: the programs compiled for them take gigabytes.
 SETS_PER_PROCESS = 4
@@ -34,8 +34,7 @@ def runs_of(folder: Path) -> dict[str, list[Path]]:
     Raises:
         InputError: There are no sets.
     """
-    if not folder.is_dir():
-        raise InputError(f"{folder} is no folder of sets")
+    require_input_folder(folder, "sets of runs")
     sets = {
         each.name: runs_of_set(each)
         for each in sorted(folder.iterdir())

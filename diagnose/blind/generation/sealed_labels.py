@@ -7,7 +7,7 @@ import secrets
 import zlib
 from pathlib import Path
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, require_input_folder
 from drftjax.common.output_files import replace_file
 
 SEALED_FILE, HASH_FILE, PLAIN_FILE = "labels.sealed", "labels.sha256", "labels.json"
@@ -44,6 +44,7 @@ def open_labels(folder: Path) -> dict[str, dict]:
     Raises:
         InputError: There are no labels, or they are not the ones that were sealed.
     """
+    require_input_folder(folder, "sets of runs")
     if (folder / SEALED_FILE).exists():
         return _unseal(folder)
     plain = folder / PLAIN_FILE

@@ -20,6 +20,8 @@ FAULT_KINDS = ("mixed", "none", "one", "pair", "unknown")
 # What may be wrong with sets of the other kinds.
 CHANGE_FAULTS = ("mixed", "none", "one")
 
+MOST_SETS = 100_000  # of one folder, whose names have six figures at most
+
 
 @dataclass(frozen=True)
 class NoiseSettings:
@@ -214,8 +216,8 @@ class GenerationRequest:
     kind: str = SINGLE
 
     def __post_init__(self):
-        if self.sets < 1:
-            raise InputError(f"{self.sets} sets were asked for, must be one or more")
+        if not 1 <= self.sets <= MOST_SETS:
+            raise InputError(f"{self.sets} sets were asked for, must be 1 to {MOST_SETS}")
         for what, given, known in (
             ("the kind of the sets", self.kind, KINDS),
             ("the protocol", self.protocol, PROTOCOLS),

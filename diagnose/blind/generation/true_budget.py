@@ -26,7 +26,7 @@ from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 
 CHANNELS = ("x", "z")
 
-# Mean sinkages are met to a few micrometres, a tenth of the noise.
+# Mean sinkages are matched to a few micrometres, a tenth of the noise.
 MATCH = ZetaMatchSettings(min_step=2e-4)
 
 

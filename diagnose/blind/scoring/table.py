@@ -2,16 +2,15 @@
 
 from collections.abc import Iterator
 
-from rich.table import Table
-
 from diagnose.blind.scoring.proportion import Proportion
+from drftjax.common.rich_text import WholeWordTable
 
 
 def _text(share: dict | None) -> str:
     return "" if share is None else str(Proportion(share["hits"], share["of"]))
 
 
-def tables(score: dict) -> Iterator[Table]:
+def tables(score: dict) -> Iterator[WholeWordTable]:
     """Tables of a score: kinds, confusions, calibration, and shrinkage if it was measured."""
     yield _kinds(score)
     if any(answered != truth for truth, row in score["confusion"].items() for answered in row):
@@ -22,8 +21,8 @@ def tables(score: dict) -> Iterator[Table]:
         yield _shrinkage(score)
 
 
-def _kinds(score: dict) -> Table:
-    table = Table("kind of set", title="answers by kind of set")
+def _kinds(score: dict) -> WholeWordTable:
+    table = WholeWordTable("kind of set", title="answers by kind of set")
     table.add_column("sets", justify="right")
     table.add_column("what")
     table.add_column("share (90 % interval)", justify="right")
@@ -51,8 +50,8 @@ def _kinds(score: dict) -> Table:
     return table
 
 
-def _confusions(score: dict) -> Table:
-    table = Table("true", "answered", title="confusions")
+def _confusions(score: dict) -> WholeWordTable:
+    table = WholeWordTable("true", "answered", title="confusions")
     table.add_column("sets", justify="right")
     for truth, row in score["confusion"].items():
         for answered, count in row.items():
@@ -61,8 +60,8 @@ def _confusions(score: dict) -> Table:
     return table
 
 
-def _calibration(rows: list[dict], title: str) -> Table:
-    table = Table(title=title)
+def _calibration(rows: list[dict], title: str) -> WholeWordTable:
+    table = WholeWordTable(title=title)
     for heading in ("weight", "mean", "number", "right"):
         table.add_column(heading, justify="right")
     for row in rows:
@@ -72,8 +71,8 @@ def _calibration(rows: list[dict], title: str) -> Table:
     return table
 
 
-def _shrinkage(score: dict) -> Table:
-    table = Table("channel", title="shrinkage of the misfit on fresh runs")
+def _shrinkage(score: dict) -> WholeWordTable:
+    table = WholeWordTable("channel", title="shrinkage of the misfit on fresh runs")
     headings = "sets", "within 10 points of the promise", "in the promised interval", "untried"
     for heading in headings:
         table.add_column(heading, justify="right")

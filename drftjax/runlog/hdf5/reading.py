@@ -4,6 +4,7 @@ A file is surveyed before any value is read: links, external storage, virtual da
 types and sizes beyond a limit are found from headers alone.
 """
 
+import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -15,6 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from drftjax.common.errors import read_failure
 from drftjax.common.structured_files import HDF5
 from drftjax.common.text import replace_unprintable
 from drftjax.runlog import recording_lock
@@ -130,7 +132,7 @@ def _not_openable(path: Path) -> str | None:
             with path.open("rb"):
                 return _NO_HDF5
     except OSError as error:
-        return f"cannot be read: {(error.strerror or str(error)).lower()}"
+        return read_failure(path, error)
     return None
 
 
@@ -139,9 +141,9 @@ def _not_a_file(path: Path) -> str | None:
     try:
         facts = path.stat()
     except OSError as error:
-        return f"cannot be read: {(error.strerror or str(error)).lower()}"
+        return read_failure(path, error)
     if stat.S_ISDIR(facts.st_mode):
-        return "is a folder, it must be a file"
+        return "is a folder, must be a file"
     if not stat.S_ISREG(facts.st_mode):
         return "is not an ordinary file"
     if facts.st_size == 0:
@@ -180,7 +182,7 @@ def _open_failure(error: Exception) -> str:
         return "is open for writing in another program"
     if "truncated" in text or "eof" in text:
         return "is cut short: it ends before the data that it declares"
-    return f"is damaged: the HDF5 library says {' '.join(text.split())}"
+    return "is damaged: its HDF5 structure cannot be read"
 
 
 class _Survey:
@@ -322,9 +324,9 @@ class _Survey:
                 return self._refuse(where, "has rows that were never written")
             return np.asarray(node[()])
         except (OSError, RuntimeError, ValueError) as error:
-            text = " ".join(str(error).split())
-            known = "checksum" in text or "filter" in text
-            self._refuse(where, "is damaged: " + ("its checksum does not hold" if known else text))
+            known = re.search("checksum|filter", str(error))
+            what = "its checksum does not hold" if known else "its values cannot be read"
+            self._refuse(where, f"is damaged: {what}")
             return None
 
     def _attributes(self, where: str, node: Any) -> dict[str, Attribute]:

@@ -1,7 +1,6 @@
 """Mapping files (TOML), which define the meaning of the columns of a table."""
 
 import re
-import tomllib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -9,7 +8,7 @@ from typing import Any, Final, Literal
 import msgspec
 
 from drftjax.common.errors import InputError
-from drftjax.common.structured_files import explain
+from drftjax.common.structured_files import explain, read_document
 from drftjax.runlog.importers.layout import Layout
 from drftjax.runlog.validation import nearest
 
@@ -180,18 +179,14 @@ def read_mapping(path: Path) -> Mapping:
     Raises:
         InputError: names the file, the place in it and what must hold.
     """
+    document = read_document(path)
     try:
-        mapping = msgspec.convert(tomllib.loads(path.read_text("utf-8-sig")), Mapping)
+        mapping = msgspec.convert(document, Mapping)
         _require_whole(mapping)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path}: the mapping cannot be read: {reason}") from error
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: {_explain(str(error))}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, InputError) as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except RecursionError as error:
-        raise InputError(f"{path}: is nested too deeply for a mapping") from error
     return mapping
 
 
@@ -263,6 +258,6 @@ def _explain(message: str) -> str:
     unknown = _UNKNOWN.search(message)
     if unknown is None:
         return explain(message, Mapping)
-    keys = sorted({name for part in _PARTS for name in part.__struct_encode_fields__})
+    keys = {name for part in _PARTS for name in part.__struct_encode_fields__} - {unknown[1]}
     place = f" in [{unknown[2]}]" if unknown[2] else ""
-    return f"there is no key {unknown[1]!r}{place}; {nearest(unknown[1], keys)}"
+    return f"there is no key {unknown[1]!r}{place}; {nearest(unknown[1], sorted(keys))}"

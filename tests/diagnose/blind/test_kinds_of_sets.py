@@ -151,7 +151,7 @@ def test_the_budget_shares_a_gap_out_by_channel():
     assert budget["z"]["effects"]["sinkage_drift"]["share"] == pytest.approx(1, abs=SHARES)
     for channel, effect in (("x", "travel_gain"), ("z", "sinkage_drift")):
         alone = budget[channel]["effects"][effect]
-        # The zeta that meets a mean sinkage with a drift in it moves x a little, too.
+        # The zeta that matches a mean sinkage with a drift in it moves x a little, too.
         assert alone["without"] < SHARES * budget[channel]["before"]
         assert alone["alone"] == pytest.approx(budget[channel]["before"], rel=SHARES)
 

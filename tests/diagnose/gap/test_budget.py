@@ -10,7 +10,7 @@ import pytest
 
 from diagnose.gap.budget import gap_budget, shapley_values
 from diagnose.gap.cross_validation import HeldOutPrediction
-from diagnose.gap.one_zeta import foretold_zetas
+from diagnose.gap.one_zeta import predicted_zetas
 
 # Sums of a few numbers of size one, in double precision.
 ROUNDING = 1e-12
@@ -147,9 +147,9 @@ def test_a_number_that_the_runs_hardly_tell_widens_its_share(monkeypatch):
     assert width(a=0.5) > 5 * width(a=0.01) > 0
 
 
-def test_a_condition_is_foretold_by_the_others():
+def test_a_condition_is_predicted_by_the_others():
     zetas = np.log([0.8, 0.82, 0.9, 1.0])
-    found = foretold_zetas(zetas, [[0, 1], [2], [3]])
+    found = predicted_zetas(zetas, [[0, 1], [2], [3]])
     assert found[:2] == pytest.approx([zetas[2:].mean()] * 2)
     assert found[3] == pytest.approx(zetas[:3].mean())
-    assert foretold_zetas(zetas, [[0, 1, 2, 3]]) == pytest.approx([zetas.mean()] * 4)
+    assert predicted_zetas(zetas, [[0, 1, 2, 3]]) == pytest.approx([zetas.mean()] * 4)

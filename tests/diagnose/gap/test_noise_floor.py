@@ -15,8 +15,8 @@ from diagnose.model.augmented_model import AugmentedModel
 from tests.helpers.synthetic_runs import PLATE, coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])
-# Two ways to the zeta that meets a mean sinkage: a straight line over 1 %, and secant steps to the
-# end. On plates as long as these sinkage bends by a fifth over 2 % of zeta.
+# Two ways to the zeta that matches a mean sinkage: a straight line over 1 %, and secant steps to
+# the end. On plates as long as these sinkage bends by a fifth over 2 % of zeta.
 AGREE = 0.15
 # Speeds up to 3 rad/s within 1.4 s. Of a dozen readings noise is told to a factor of two.
 FAST = ([0.0, 0.3, 1.7, 2.5], [0.0, 0.0, 3.0, 3.0])

@@ -123,7 +123,7 @@ def test_it_closes_the_gap_of_runs_left_out(found):
     assert z.shrinkage > NEARLY_ALL
     (said,) = [each for each in paragraphs(found) if each.startswith("Offered in its place: ")]
     assert "a correction of zeta over sinkage" in said
-    assert "on runs left out" in said
+    assert "on held-out runs" in said
 
 
 def test_the_json_holds_it_as_documented(found, files):

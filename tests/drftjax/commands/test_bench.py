@@ -60,7 +60,7 @@ def test_table_has_a_row_for_each_program(drft):
     [
         (("--runs", "1"), "--runs is 1, must be 2 to 100000"),
         (("--repeats", "0"), "--repeats is 0, must be 1 to 100"),
-        (("--cpp", "nowhere.cpp"), "nowhere.cpp: there is no such file, needs a C++ source"),
+        (("--cpp", "nowhere.cpp"), "nowhere.cpp: there is no such file"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(drft, given, sentence):

@@ -156,7 +156,7 @@ def test_own_values_are_compared_by_their_mean(drft, tmp_path):
     assert first["error"] == pytest.approx(1.0)
     assert (second["value"], second["error"], second["runs"]) == (9.0, 1.0, 1)
     assert zeta["agreement"]["chi_square"] == pytest.approx(49 / 2)
-    assert "Record one run twice, with the sand prepared anew, since zeta disagrees most" in out
+    assert "Record one run twice, with the sand prepared again, since zeta disagrees most" in out
     assert "2.0 ± 1.0 (mean of 2, scatter 1)" in out
 
 
@@ -169,7 +169,7 @@ def test_values_at_bounds_and_without_errors_are_shown_and_not_compared(drft, tm
     (found,) = document["quantities"]
     assert found["agreement"] is None
     assert "1, at a bound" in out
-    assert "lambda is not told. The run that would tell it: drft design --like RUN.h5" in out
+    assert "lambda is not identified. The run that would identify it: drft design --like" in out
     assert f"{files[1]} ended as 'stalled'" in out
 
 
@@ -202,15 +202,15 @@ def test_common_run_logs_are_told(drft, tmp_path):
     assert "not independent" not in out
 
 
-def test_the_next_run_is_for_what_disagrees_or_is_told_worst(drft, three, tmp_path):
+def test_the_next_run_is_for_what_disagrees_or_is_known_worst(drft, three, tmp_path):
     out = compared(drft, *three)[1]
-    assert "lambda disagrees most, and is told to 6.2 % at best" in out
+    assert "lambda disagrees most, and is known to 6.2 % at best" in out
     assert "drft design --like a.h5 --parameter lambda --nuisance rig.mass_z\n" in out
     shared = {LAMBDA: number(1.0, 0.1, "lambda"), "pull.force": number(2.0, 1.0, "pull.force")}
     logs = [{"a b.h5": "1"}, {"c.h5": "2"}]
     pair = [fit(tmp_path, f"{at}.json", shared, logs=each) for at, each in enumerate(logs)]
     out = compared(drft, *pair)[1]
-    assert "pull.force is told to 50 % at best, worse than the others." in out
+    assert "pull.force is known to 50 % at best, worse than the others." in out
     assert "drft design MODEL.toml --parameter pull.force\n" in out
     lone = [
         fit(tmp_path, f"{at}.json", {LAMBDA: shared[LAMBDA]}, logs=each)

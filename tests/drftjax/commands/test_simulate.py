@@ -321,7 +321,7 @@ def test_words_of_a_title_steer_nothing(drft, short):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "is not JSON ("),
+        ("", "is not JSON: it ends at line 1"),
         ("[]", "must hold named entries, holds a list"),
         ("{}", "is not a fit's result; its schema must be 'drft-fit'"),
         ('{"schema": "drft-run", "schema_version": 1}', "is not a fit's result"),

@@ -108,7 +108,7 @@ def test_simulate_runs_the_effects(drft, tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[effect]]\nname = 'losening'\n", "there is no effect 'losening'; did you mean loosen"),
+        ("[[effect]]\nname = 'losening'\n", "there is no effect 'losening'; did you mean 'loosen"),
         ("[[effect]]\nloss = 0.1\n", "[[effect]] 1 needs a name; `drft effects` lists them"),
         (LOOSENING + "[[effect]]\nname = 3\n", "[[effect]] 2 needs a name"),
         (LOOSENING + "los = 1\n", "'loosening' has no number 'los'; it has loss [-], decay [rad]"),
@@ -243,7 +243,7 @@ def test_corrections_of_nothing_in_every_stage_are_the_reference_model_to_the_bi
         ('stage = "zeta"', 'stage = "weather"', "stage is 'weather', must be one of zeta, force_x"),
         ('stage = "zeta"', 'stage = "speed"', "a correction of speed may follow angular velocity"),
         ('stage = "zeta"', "stage = 3", "correction.stage is 3.0, must be a word"),
-        ('stage = "zeta"\n', "", "a correction needs stage; it has stage, variable, knots, val"),
+        ('stage = "zeta"\n', "", "a correction needs stage too; its entries are stage, vari"),
         ('stage = "zeta"', 'stage = "zeta"\nknot = 3', "a correction has no entry 'knot'; it has"),
         ("0.0, 0.02, 0.04", "0.0, 0.04, 0.02", "the knots of a correction must ascend"),
         ("0.0, 0.02, 0.04", "0.02", "a correction has 2 to 100 knots; 1 were given"),
@@ -294,7 +294,7 @@ def test_one_effect_is_told_in_full_with_lines_that_a_set_up_understands(drft, t
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest(drft):
-    assert "did you mean eccentricity or" in drft("effects", "excentricity").refusal
+    assert "did you mean 'eccentricity' or" in drft("effects", "excentricity").refusal
     assert "there is no effect 'q7'; `drft effects` lists" in drft("effects", "q7").refusal
 
 

@@ -198,7 +198,7 @@ def test_the_floor_is_what_two_repeats_differ_by_while_both_go_on(whole):
 
 
 def test_what_grows_in_two_repeats_is_no_chance_where_one_is_shorter(whole):
-    """Each has the zeta that meets its mean sinkage, and they are means over other times."""
+    """Each has the zeta that matches its mean sinkage, and they are means over other times."""
     short = stopped(whole, 1.6)
     case, own = pair_of(whole, short), {"x": 0.0, "z": 0.0}
     time = [each.observation.time for each in (whole, short)]

@@ -95,7 +95,7 @@ def test_a_doubtful_zeta_is_asked_about_and_kept_within_what_sand_has(zeta, said
     start = Start(0.01, zeta)
     doubt = zeta_doubt(loop, start)
     assert (doubt is None) == (said is None)
-    assert doubt is None or f"10.00 mm tells zeta(0) {zeta:.3g}, {said}" in doubt.sentence
+    assert doubt is None or f"10.00 mm gives zeta(0) {zeta:.3g}, {said}" in doubt.sentence
     assert within_limits(start).zeta == min(max(zeta, 0.05), 20.0)
 
 

@@ -21,7 +21,7 @@ KINDS = {"time": "s", "omega": "rad/s", "vx": "m/s", "x": "m", "z": "m"} | {
 
 @dataclass(frozen=True)
 class UnitRanges:
-    """Ranges by which an unstated unit is told.
+    """Ranges by which an unstated unit is recognised.
 
     Attributes:
         max_step: Longest step of a clock in seconds; wheels are read more often [s].
@@ -71,7 +71,7 @@ def guess_time(
     Args:
         named: Its heading.
         time: Its counts of one run, in its own unit, shape (rows,).
-        settings: Ranges by which the unit is told.
+        settings: Ranges by which the unit is recognised.
     """
     step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
     start = abs(float(time[0])) if len(time) else 0.0
@@ -105,7 +105,7 @@ def guess_omega(
         omega: Its values of one run, in its own unit, shape (rows,).
         time: Times of the same rows [s]; None where they are not known.
         x: Travel at the same rows [m]; None where it is not known.
-        settings: Radii and speeds by which the unit is told.
+        settings: Radii and speeds by which the unit is recognised.
     """
     candidates = ("rad/s", "deg/s", "rpm")
     radii: dict[str, float] = {}
@@ -146,7 +146,7 @@ def guess_channel(
         role: Name of the channel.
         named: Its heading.
         values: Its values of one run, in its own unit, shape (rows,).
-        settings: Ranges by which the unit is told.
+        settings: Ranges by which the unit is recognised.
     """
     largest = float(np.abs(values).max(initial=0.0))
     limits = {"x": settings.max_travel, "z": settings.max_height, "vx": settings.max_speed}

@@ -10,7 +10,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Final
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, read_failure
 from drftjax.common.structured_files import HDF5
 from drftjax.runlog.importers.layout import DEFAULT_LAYOUT, Layout
 from drftjax.runlog.importers.readers.rows import table_of_rows
@@ -72,7 +72,10 @@ def read_delimited(path: Path, layout: Layout = DEFAULT_LAYOUT) -> list[Table]:
         rows = ((layout.skip_lines + reader.line_num, row) for row in reader)
         return [table_of_rows(path, rows, layout)]
     except csv.Error as error:
-        raise InputError(f"{path}: is not a table of text: {error}") from error
+        raise InputError(
+            f"{path}, line {layout.skip_lines + reader.line_num}: cannot be split into cells; a "
+            f"quotation mark is not closed, or a cell has more than {csv.field_size_limit()} signs"
+        ) from error
 
 
 def read_text(path: Path, encoding: str | None = None) -> str:
@@ -85,11 +88,12 @@ def read_text(path: Path, encoding: str | None = None) -> str:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
         with opened(path, "rb") as file:
             data = file.read(SIZE_LIMIT + 1)
+    except gzip.BadGzipFile as error:
+        raise InputError(f"{path}: is no file of gzip, as its name says, or is damaged") from error
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(f"{path}: the table cannot be read: {reason}") from error
+        raise InputError(f"{path}: {read_failure(path, error)}") from error
     except (EOFError, zlib.error) as error:
-        raise InputError(f"{path}: the table is damaged: {error}") from error
+        raise InputError(f"{path}: the file of gzip is damaged, or was cut off") from error
     if len(data) > SIZE_LIMIT:
         raise InputError(f"{path}: holds more than {SIZE_LIMIT / 1e9:g} GB of text; split it")
     for start, kind in _FIRST_BYTES:

@@ -1,5 +1,6 @@
 """Packages that read a format of their own, imported when such a file is read."""
 
+import errno
 import logging
 import warnings
 from collections.abc import Iterator
@@ -53,6 +54,7 @@ def unreadable(path: Path, kind: str, error: Exception) -> InputError:
         kind: Format that it must have, with its article.
         error: What the package raised; only a reason of the system is passed on.
     """
-    if isinstance(error, OSError) and error.strerror:
+    # A reader that leaps outside a damaged file gets EINVAL, which says nothing of the file.
+    if isinstance(error, OSError) and error.strerror and error.errno != errno.EINVAL:
         return InputError(f"{path}: cannot be read: {error.strerror.lower()}")
     return InputError(f"{path}: cannot be read as {kind}; it is damaged, or of another kind")

@@ -11,7 +11,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Final, cast
 
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, missing_path
 from drftjax.runlog.importers.layout import Layout
 from drftjax.runlog.importers.readers.base import Reader
 from drftjax.runlog.importers.readers.packages import silenced
@@ -51,7 +51,7 @@ def read_tables_of(path: Path, layout: Layout) -> Sequence[Table]:
         InputError: the file cannot be read, or the layout is for tables of text alone.
     """
     if not path.exists():
-        raise InputError(f"{path}: cannot be read: there is no such file")
+        raise InputError(f"{path}: {missing_path(path)}")
     module, reader = reader_for(path)
     keys = layout.set_keys()
     if keys and module not in (None, *WITH_LAYOUT):
