@@ -144,7 +144,7 @@ def test_pyright_sees_the_types_of_an_installed_wheel(outside):
         "FitResult",
         "type[Simulator]",
         "ndarray[tuple[Any, ...], dtype[float64]] | None",
-        "(self: Diagnosis, width: int = 100) -> str",
+        "(self: Diagnosis, width: int = 110) -> str",
         "type[TickLoop]",
         "Parameter",
     ], answer.stdout
