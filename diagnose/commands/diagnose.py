@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from drftjax.commands.completion import complete_effects
 from drftjax.commands.options import (
     PlotFile,
+    complete_effects,
     draw_picture,
     remove_empty_folders,
     require_picture,

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from drftjax.commands.completion import complete_effect
-from drftjax.commands.options import draw_picture, require_picture
+from drftjax.commands.options import complete_effect, draw_picture, require_picture
 from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
 

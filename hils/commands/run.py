@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from drftjax.commands.completion import complete_tuner
-from drftjax.commands.options import USUAL_OMEGA_MAX, refuse_options
+from drftjax.commands.options import USUAL_OMEGA_MAX, complete_tuner, refuse_options
 from drftjax.common.errors import InputError
 from hils.link.timing import USUAL_BAUD, require_baud
 

@@ -1,5 +1,6 @@
 """Statistics and outcome of one run of the loop."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +26,9 @@ class LoopStatistics:
 
     def __init__(self, room: int):
         self.ticks = self.overruns = self.skipped = self.fresh = self.refused = self.old = 0
-        self._work_time, self._wake_delay = np.zeros(room), np.zeros(room)
-        self._error, self._errors = np.zeros(room), 0
+        # Filled, so that the memory is taken now: zeros would take it page by page as ticks come.
+        self._work_time, self._wake_delay = np.full(room, math.nan), np.full(room, math.nan)
+        self._error, self._errors = np.full(room, math.nan), 0
 
     def add_overrun(self, skipped: int) -> None:
         """Count a missed deadline, or as many as ticks were skipped."""

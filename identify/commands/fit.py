@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from drftjax.commands.completion import complete_channel
 from drftjax.commands.options import (
     PlotFile,
+    complete_channel,
     draw_picture,
     remove_empty_folders,
     require_picture,

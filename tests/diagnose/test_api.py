@@ -200,6 +200,7 @@ def test_runs_that_no_zeta_follows_are_left_out_and_all_of_them_refused(runs, mo
     class Found:
         names: list[str]
         notes: list[str]
+        drive: object = None
 
     def search(dataset, effects, report, settings):
         names = [each.name for each in dataset.runs]

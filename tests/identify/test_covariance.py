@@ -118,9 +118,7 @@ def test_no_name_of_a_value_is_cut_off_in_a_narrow_table():
     run = RunFit("slow_a", setup_of(), values, two[0], two[0] == 0, ("x", "z"), two, two, two)
     text = FitResult({}, [run], "converged", 5, {}).summary(80)
     assert "…" not in text
-    rows = [[cell.strip() for cell in line.strip("┃").split("┃")] for line in text.splitlines()]
-    heads = zip(*[row for row in rows if len(row) == 8], strict=True)
-    assert ["".join(head) for head in heads][2:6] == [*names]
+    assert all(name in text.split() for name in names)
 
 
 @pytest.mark.parametrize("error", [np.nan, np.inf])

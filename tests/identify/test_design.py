@@ -236,7 +236,7 @@ def test_a_designed_run_keeps_the_way_and_says_it():
     )
     assert design_document(found)["best"]["way"] == found.best.rim_travel
     # However much the given one tells.
-    assert found.violations == ("its way of 0.434 m is beyond 0.08 m",)
+    assert found.violations == ("its travel of 0.434 m is beyond 0.08 m",)
     assert found.best is not found.given
     assert found.best.information.error > found.given.information.error
 

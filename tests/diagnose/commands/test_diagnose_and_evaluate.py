@@ -59,6 +59,7 @@ KEYS = {
     "bed",
     "where",
     "parameters",
+    "drive",
     "correction",
     "next_run",
     "notes",
@@ -90,7 +91,7 @@ def diagnosed(logs, tmp_path_factory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("diagnosed") / "new" / "folder"
     text = io.StringIO()
     with contextlib.redirect_stdout(text):
-        diagnose([logs], folder, "surface_slope, travel_gain", quiet=False)
+        diagnose([logs], folder, effects="surface_slope, travel_gain", quiet=False)
     return folder, text.getvalue()
 
 

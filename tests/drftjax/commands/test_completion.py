@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from drftjax.commands.completion import CHANNEL_NAMES, complete_effects, effect_names, tuner_names
+from drftjax.commands.options import CHANNEL_NAMES, complete_effects, effect_names, tuner_names
 from drftjax.effects.catalogue import catalogue
 from drftjax.runlog.record import CHANNELS
 from drftjax.tuning.registry import tuners
