@@ -48,7 +48,8 @@ class SetScreeningSettings:
     """Numbers by which sets of effects are chosen for simulation.
 
     Attributes:
-        max_bases: Refined hypotheses that sets begin with, at most.
+        max_bases: Refined hypotheses that sets begin with, at most. Singles that look alike, such as
+            two kinds of drag, lead with nearly one score: the right one is among the first four.
         sets_per_round: Sets that are simulated in one round.
         max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
         far_from_floor: Another round is made while the best set misses a block by more than this
@@ -63,8 +64,8 @@ class SetScreeningSettings:
             raised to in the rankings of sets of refined effects [-].
     """
 
-    max_bases: int = 3
-    sets_per_round: int = 8
+    max_bases: int = 4
+    sets_per_round: int = 10
     max_rounds: int = 1
     far_from_floor: float = 5.0
     max_simulations: int = 3
