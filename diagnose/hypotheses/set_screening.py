@@ -48,8 +48,8 @@ class SetScreeningSettings:
     """Numbers by which sets of effects are chosen for simulation.
 
     Attributes:
-        max_bases: Refined hypotheses that sets begin with, at most. Singles that look alike, such as
-            two kinds of drag, lead with nearly one score: the right one is among the first four.
+        max_bases: Refined hypotheses that sets begin with, at most. Singles that look alike, such
+            as two kinds of drag, lead with nearly one score.
         sets_per_round: Sets that are simulated in one round.
         max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
         far_from_floor: Another round is made while the best set misses a block by more than this
