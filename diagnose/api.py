@@ -312,8 +312,8 @@ def diagnose_gathered(
     kept, notes = gathered.runs, list(gathered.skipped.values())
     effects = possible_effects(kept, effects)
     _require_null(kept, effects)
-    of_drive = effects
-    kept, effects = driven_by_measured_speed(kept, effects)
+    possible = effects
+    kept, effects = driven_by_measured_speed(kept, possible)
     while True:
         try:
             dataset = RigDataset.of(kept, settings.dataset)
@@ -328,7 +328,7 @@ def diagnose_gathered(
     return dataclasses.replace(
         found,
         notes=[*found.notes, *(f"Left out: {why}" for why in notes)],
-        drive=drive_error(kept, of_drive),
+        drive=drive_error(kept, possible),
     )
 
 

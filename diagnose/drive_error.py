@@ -55,14 +55,16 @@ class DriveError:
     Attributes:
         error, noise: Measured minus commanded speed, and the reading's white noise, RMS [rad/s].
         effect: The effect with its numbers; None where there is no error, or no effect explains it.
+        is_off: True where the wheel did not turn as commanded.
         explained: Share of the error's mean square beyond noise that the likeliest effect explains
-            [-]; 0 where there is no error.
+            [-]; 0 where the wheel turned as commanded, or there is no effect to choose from.
         numbers: Its strengths with standard errors, by name, in the unit of each.
         rivals: Names of effects that the speed cannot tell from it.
     """
 
     error: float
     noise: float
+    is_off: bool
     effect: AbstractEffect | None = None
     explained: float = 0.0
     numbers: dict[str, tuple[float, float, str]] | None = None
@@ -72,7 +74,7 @@ class DriveError:
         """Error of the drive and its cause, in words."""
         off = f"{self.error:.3g} rad/s RMS (noise {self.noise:.2g})"
         given = "The model is driven by the measured speed, so this is no part of the gap."
-        if self.effect is None and self.explained == 0:
+        if not self.is_off:
             return [f"The wheel turned as commanded, by its measured speed: {off}. {given}"]
         if self.effect is None:
             return [
@@ -164,11 +166,11 @@ def drive_error(
     none = drive.left(None)
     error = float(np.sqrt(none))
     if error <= settings.least_error * noise:
-        return DriveError(error, noise)
+        return DriveError(error, noise, is_off=False)
     found = [drive.fitted(each) for each in effects if issubclass(each, AbstractDrive)]
     if not found:
-        return DriveError(error, noise, explained=np.finfo(float).tiny)
-    count = drive.duration / settings.correlation
+        return DriveError(error, noise, is_off=True)
+    count = drive.duration / settings.correlation  # readings that count as independent
 
     def criterion(each: _Candidate) -> float:
         return count * np.log(max(each.left, noise**2)) + each.free * np.log(count)
@@ -176,7 +178,7 @@ def drive_error(
     best, *rest = sorted(found, key=criterion)
     explained = float(np.clip((none - best.left) / (none - noise**2), 0, 1))
     if explained < settings.least_explained:
-        return DriveError(error, noise, explained=max(explained, np.finfo(float).tiny))
+        return DriveError(error, noise, is_off=True, explained=explained)
     about = field_metadata(type(best.effect))
     numbers = {
         name: (float(getattr(best.effect, name)), float(spread), about[name]["unit"])
@@ -186,7 +188,7 @@ def drive_error(
     near = [e for e in rest if criterion(e) - criterion(best) < settings.least_gain]
     rivals = dict.fromkeys(reported_name(each.effect.about.name) for each in near)
     rivals.pop(own, None)
-    return DriveError(error, noise, best.effect, explained, numbers, tuple(rivals))
+    return DriveError(error, noise, True, best.effect, explained, numbers, tuple(rivals))
 
 
 @dataclass(frozen=True, eq=False)

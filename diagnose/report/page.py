@@ -146,7 +146,7 @@ def recorded_and_simulated(found: Diagnosis) -> RunCurves:
 
 
 def _added(found: Diagnosis) -> str:
-    """What is added to the reference model, in words."""
+    """Words for what is added to the reference model."""
     if found.correction is not None:
         return "the correction"
     return "the effects" if len(found.selected.effects) > 1 else "the effect"
