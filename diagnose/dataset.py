@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -24,6 +25,8 @@ from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
+
+Result = TypeVar("Result")
 
 # Lengths are padded to this at least [samples]; padding costs next to nothing.
 MIN_PADDED_SIZE = 2304
@@ -111,6 +114,16 @@ class RigDataset:
     def run_numbers(self) -> range:
         return range(len(self.runs))
 
+    def map(self, pool: RunPool, work: Callable[[int], Result]) -> list[Result]:
+        """Do `work` for the number of every run, side by side, the longest runs first.
+
+        A long run that came last would leave other cores idle. `work` must not use the pool.
+        """
+        steps = self.batch.observed.compared_rows * self.batch.trials.parts
+        order = np.argsort(-np.asarray(steps)[: len(self.runs)], kind="stable").tolist()
+        found = dict(zip(order, pool.map(work, order), strict=True))
+        return [found[run] for run in self.run_numbers]
+
     @cached_property
     def trials(self) -> list[Trial]:
         """Each run's trial, padded."""
@@ -141,29 +154,23 @@ class RigDataset:
                 return RigDataset.of(fewer, self.settings)
         return self
 
-    def precompile(
-        self, pool: RunPool, program: Callable, models: Sequence[AugmentedModel]
-    ) -> None:
-        """Compile a program for some models side by side, before threads need it.
+    def compile(self, pool: RunPool, program: Callable, model: AugmentedModel) -> None:
+        """Compile a program for a model in one thread, before several need it.
 
-        Otherwise every thread that needs a program first would compile it for itself. All arguments
-        have the same types as in `prediction`: JAX takes a weakly typed number, as Python's are,
-        for another program.
+        Otherwise each of them would compile it for itself. While it is compiled, other threads may
+        simulate. All arguments have the same types as in `prediction`: JAX takes a weakly typed
+        number, as Python's are, for another program.
 
         Args:
             pool: Threads.
             program: `predict` or `predict_with_jacobian`.
-            models: Models that are going to be simulated.
+            model: Model that is going to be simulated.
         """
         observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
-
-        def compile_for(model: AugmentedModel) -> None:
-            program(model, self.channels, self.trials[0], nothing, as_real(0.0), model.null())
-
-        # One of each program, or threads would compile the same side by side.
-        pool.map(compile_for, {each.program[0]: each for each in models}.values())
+        given = self.channels, self.trials[0], nothing, as_real(0.0), model.null()
+        pool.once((self, program, model.program[0]), lambda: program(model, *given))
 
     def counts(self, run: int) -> np.ndarray:
         """Mask of a run's recorded samples that are compared, shape (all samples,)."""
@@ -299,10 +306,8 @@ def match_initial_zeta(
     """
     if "z" not in dataset.channels:
         raise InputError("no run has a recorded sinkage (/measured/z), and nothing stands for it")
-    dataset.precompile(pool, predict, [AugmentedModel()])
-    return np.array(
-        pool.map(lambda run: _initial_zeta(dataset, run, settings), dataset.run_numbers)
-    )
+    dataset.compile(pool, predict, AugmentedModel())
+    return np.array(dataset.map(pool, lambda run: _initial_zeta(dataset, run, settings)))
 
 
 def without_step_errors(
@@ -346,7 +351,7 @@ def without_step_errors(
             observation=replace(each.observation, step_error=error[rows]),
         )
 
-    return RigDataset.of(pool.map(corrected, dataset.run_numbers), dataset.settings)
+    return RigDataset.of(dataset.map(pool, corrected), dataset.settings)
 
 
 def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) -> float:

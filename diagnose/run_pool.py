@@ -1,9 +1,10 @@
 """Threads for work over the runs of a dataset, opened once per diagnosis or evaluation."""
 
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Hashable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from threading import Lock
 from typing import Self, TypeVar
 
 import jax
@@ -34,10 +35,14 @@ class RunPool:
     Attributes:
         inner: Threads that compute, as many as there are cores.
         outer: As many threads that only hand work to `inner` and wait for it.
+        begun: Work that `once` has begun, by its key.
+        lock: Held while `begun` is looked at.
     """
 
     inner: ThreadPoolExecutor = field(default_factory=_thread_per_core)
     outer: ThreadPoolExecutor = field(default_factory=_thread_per_core)
+    begun: dict[Hashable, Future] = field(default_factory=dict)
+    lock: Lock = field(default_factory=Lock)
 
     def __enter__(self) -> Self:
         return self
@@ -57,3 +62,10 @@ class RunPool:
         pass over the runs.
         """
         return list(self.outer.map(work, items))
+
+    def once(self, key: Hashable, work: Callable[[], object]) -> None:
+        """Do `work` in an inner thread, once for each key; every other caller waits until it is."""
+        with self.lock:
+            if key not in self.begun:
+                self.begun[key] = self.inner.submit(work)
+        self.begun[key].result()

@@ -95,9 +95,6 @@ def screen_change(
         for each in effects[: settings.max_simulated]
         if each.score > max(least, effects[0].score - settings.hopeless_deficit)
     ]
-    problem.regressors.dataset.precompile(
-        pool, predict, [AugmentedModel(), *(each.model for each in leading)]
-    )
     none, zeta, *refined = pool.map_outer(
         lambda each: refine_change(problem, each, pool, settings), (none, zeta, *leading)
     )
@@ -124,6 +121,7 @@ def refine_change(
         settings: Numbers of the refinement.
     """
     assert start.proposed is not None
+    problem.regressors.dataset.compile(pool, predict, start.model)
     here, (coordinates, log_zeta) = start, start.proposed
     best: ChangeHypothesis | None = None
     share = 1.0
@@ -245,7 +243,7 @@ def _simulate(
         jacobian = broyden_update(jacobian * scale, step, moved) / scale
         return residual, jacobian[:, :, 0], jacobian[:, :, 1:] * float(acts[run])
 
-    found = pool.map(of, dataset.run_numbers)
+    found = dataset.map(pool, of)
     residual = [each[0] for each in found]
     if not dataset.all_finite(residual):
         return None

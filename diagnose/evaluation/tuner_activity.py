@@ -102,7 +102,7 @@ def tuner_activity(
         return moved((), before), moved(effects, after)
 
     with RunPool() as pool:
-        return pool.map(of, dataset.run_numbers)
+        return dataset.map(pool, of)
 
 
 def _has_its_loop(each: PreparedRun) -> bool:

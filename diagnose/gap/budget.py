@@ -208,7 +208,7 @@ def contributions(
         share = size / np.maximum(size.sum(axis=0), 1e-300)
         return parts + share * (gap - parts.sum(axis=0))
 
-    return pool.map(of, dataset.run_numbers)
+    return dataset.map(pool, of)
 
 
 def _with_effects_only(model: AugmentedModel, coordinates: np.ndarray, kept: int) -> np.ndarray:

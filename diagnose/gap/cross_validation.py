@@ -82,7 +82,7 @@ def predict_held_out(
         model, at = hypothesis.model, coordinates[run]
         return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
 
-    residual = pool.map(residual_of, dataset.run_numbers)
+    residual = dataset.map(pool, residual_of)
     return HeldOutPrediction(hypothesis, log_zeta, coordinates, residual)
 
 
@@ -116,7 +116,7 @@ def at_mean_sinkage(
         found = match_zeta(dataset, hypothesis.model, run, coordinates, start, slope, settings)
         return found if found.matched else start
 
-    return pool.map(of, dataset.run_numbers)
+    return dataset.map(pool, of)
 
 
 def _own_zeta_step(

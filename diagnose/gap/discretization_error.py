@@ -55,7 +55,7 @@ def discretization_errors(
     finer = [with_finer_plates(each, settings) for each in dataset.runs]
     fine = RigDataset.of(finer, dataset.settings)
     model, nothing = AugmentedModel(), np.zeros(0)
-    fine.precompile(pool, predict, [model])
+    fine.compile(pool, predict, model)
     z = dataset.channels.index("z")
 
     def change(run: int) -> np.ndarray:
@@ -68,7 +68,7 @@ def discretization_errors(
         share = (coarse - here)[z].mean() / (there - here)[z].mean()
         return here + share * (there - here) - coarse
 
-    kept = [each for each in pool.map(change, dataset.run_numbers) if np.isfinite(each).all()]
+    kept = [each for each in dataset.map(pool, change) if np.isfinite(each).all()]
     changes = np.concatenate(kept or [np.zeros((len(dataset.channels), 1))], axis=1)
     return dict(zip(dataset.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
 

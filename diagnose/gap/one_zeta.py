@@ -12,7 +12,6 @@ import numpy as np
 
 from diagnose.gap.cross_validation import HeldOutPrediction
 from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
-from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_name
@@ -63,7 +62,7 @@ def predicted_residuals(
         apart = predicted[run] - prediction.log_zeta[run]
         return prediction.residual[run] + apart * hypothesis.by_zeta(run)
 
-    return pool.map(of, dataset.run_numbers)
+    return dataset.map(pool, of)
 
 
 def one_zeta_gaps(
@@ -117,20 +116,19 @@ def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
         regressors: The runs.
     """
     found: dict[str, ZetaShare] = {}
+    matrices, settings = regressors.gram_matrices, regressors.settings
+    weight = settings.worth(matrices.blocks) / settings.model_errors(matrices.blocks) ** 2
+    weighed = np.einsum("b,rbij->rij", weight, matrices.gram)
     for variant in regressors.variants:
         name = reported_name(variant.effect.about.name)
-        share = _made_up(regressors.gram_matrices, variant.columns, regressors.settings)
+        share = _made_up(weighed, variant.columns)
         known = found.get(name, share)
         found[name] = ZetaShare(min(known.own, share.own), min(known.bed, share.bed))
     return found
 
 
-def _made_up(
-    matrices: GramMatrices, columns: Sequence[int], settings: LinearFitSettings
-) -> ZetaShare:
-    blocks = matrices.blocks
-    weight = settings.worth(blocks) / settings.model_errors(blocks) ** 2
-    gram = np.einsum("b,rbij->rij", weight, matrices.gram)
+def _made_up(gram: np.ndarray, columns: Sequence[int]) -> ZetaShare:
+    """The same of some columns, from the weighed gram matrix of each run."""
     own = np.maximum(gram[:, 0, 0], 1e-300)
     power = shared = each = 0.0
     for column in columns:

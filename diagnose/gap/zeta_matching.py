@@ -65,7 +65,7 @@ def match_runs(
         start = MatchedRun(first, 0.0, matched=False)
         return match_zeta(dataset, model, run, at, start, settings=settings)
 
-    return pool.map(of, dataset.run_numbers)
+    return dataset.map(pool, of)
 
 
 def residuals_of(runs: Sequence[MatchedRun]) -> list[np.ndarray]:

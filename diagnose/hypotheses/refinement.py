@@ -31,7 +31,7 @@ from diagnose.linear.linear_fit import (
     log_score,
 )
 from diagnose.linear.regressors import Regressors
-from diagnose.model.augmented_model import predict_with_jacobian
+from diagnose.model.augmented_model import predict, predict_with_jacobian
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 
@@ -79,6 +79,7 @@ def refine(
         pool: Threads.
         settings: Numbers of the refinement.
     """
+    regressors.dataset.compile(pool, predict, start.model)
     here, best = start, start if start.is_simulated else None
     if start.proposed_step is None:
         zeta, coordinates = _proposal(regressors, start, 0.0, pool)
@@ -115,6 +116,7 @@ def refine(
 def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypothesis:
     """The hypothesis with derivatives by the simulator itself, in forward mode, at its numbers."""
     dataset = regressors.dataset
+    dataset.compile(pool, predict_with_jacobian, here.model)
 
     def of(run: int) -> np.ndarray:
         _, slope = predict_with_jacobian(
@@ -128,7 +130,7 @@ def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypo
         counts = dataset.counts(run)
         return slope[:, : len(counts)][:, counts]
 
-    return replace(here, columns=pool.map(of, dataset.run_numbers))
+    return replace(here, columns=dataset.map(pool, of))
 
 
 def gauss_newton_step(
@@ -223,7 +225,7 @@ def _simulate_with_update(
         scaled = broyden_update(before.columns[run] * all_units, step, change_of_residual)
         return scaled / all_units, residual
 
-    both = pool.map(of, dataset.run_numbers)
+    both = dataset.map(pool, of)
     columns, residual = [c for c, _ in both], [r for _, r in both]
     if not dataset.all_finite(residual):
         return None

@@ -17,6 +17,7 @@ from diagnose.dataset import (
     match_initial_zeta,
 )
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_fit_of, linear_start
+from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_variants
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
@@ -27,8 +28,6 @@ from diagnose.hypotheses.refinement import (
 from diagnose.hypotheses.set_screening import (
     DEFAULT_LARGER_SETS,
     DEFAULT_PAIRS,
-    DEFAULT_RANKINGS,
-    Ranking,
     SetScreeningSettings,
     refine_sets,
     without_effect,
@@ -42,7 +41,6 @@ from diagnose.linear.linear_fit import (
 )
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
-from diagnose.model.augmented_model import AugmentedModel, predict, predict_with_jacobian
 from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSettings
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
@@ -253,8 +251,6 @@ class _Screening:
             for place, name in enumerate(best.names)
             if frozenset(best.names) - {name} not in known
         ]
-        models = [AugmentedModel(_without(best.model.effects, place)) for place in places]
-        self.regressors.dataset.precompile(self.pool, predict, models)
         simulations = self.settings.larger_sets.max_simulations
 
         def without(place: int) -> Hypothesis:
@@ -283,19 +279,16 @@ class _Screening:
     def rank(self) -> list[tuple[ShapeVariant, LinearFit]]:
         """The leading effects' best variants by linear fits, the rankings taking turns."""
         regressors, settings = self.regressors, self.settings
-        blocks = regressors.gram_matrices.blocks
-        reference = linear_fit_of(regressors, [])
+        matrices, weights = regressors.gram_matrices, regressors.settings
+        miss = linear_fit_of(regressors, []).mean_square
+        each_of = regressors.variants, miss, settings.rankings, weights
         orders = []
         gaining: set[str] = set()
-        for share, linear_error in settings.rankings:
-            inflation = floor_inflation(blocks, reference.mean_square, share, regressors.settings)
+        for best, (share, linear_error) in zip(
+            best_variants(matrices, np.zeros(0), *each_of), settings.rankings, strict=True
+        ):
+            inflation = floor_inflation(matrices.blocks, miss, share, weights)
             without = linear_fit_of(regressors, [], inflation, linear_error).score
-            best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
-            for variant in regressors.variants:
-                fit = linear_fit_of(regressors, [variant], inflation, linear_error)
-                name = variant.effect.about.name
-                if name not in best or fit.score > best[name][1].score:
-                    best[name] = variant, fit
             orders.append(sorted(best.values(), key=lambda each: -each[1].score))
             least = without + settings.min_linear_gain
             gaining |= {name for name, (_, fit) in best.items() if fit.score > least}
@@ -315,7 +308,6 @@ class _Screening:
     ) -> list[Hypothesis]:
         """Refine each of the leading effects by a few simulations."""
         starts = [linear_start(self.regressors, [variant], fit) for variant, fit in ranked]
-        self.regressors.dataset.precompile(self.pool, predict, [each.model for each in starts])
         simulations = self.settings.first_simulations
         return self.pool.map_outer(lambda each: self.refine(each, simulations), starts)
 
@@ -326,10 +318,6 @@ class _Screening:
             for variant in self.regressors.variants
             for coordinate, values in _large_strengths(variant.effect).items()
         ]
-        models = [*dict.fromkeys(AugmentedModel((variant.effect,)) for variant, _, _ in tries)]
-        dataset = self.regressors.dataset
-        dataset.precompile(self.pool, predict, models)
-        dataset.precompile(self.pool, predict_with_jacobian, models)
         found = {each.names: each for each in singles}
         for best in self.pool.map_outer(lambda each: self.try_strengths(*each), tries):
             better = best.names not in found or best.score > found[best.names].score
@@ -360,9 +348,6 @@ class _Screening:
         ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
         hypotheses = [each for _, each in ranked]
         leading = hypotheses[: settings.max_continued]
-        hopeful = [e for e in hypotheses[1 : settings.max_relinearized] if self.leaves_gap(e)]
-        models = [each.model for each in (*leading[:1], *hopeful)]
-        regressors.dataset.precompile(pool, predict_with_jacobian, models)
         simulations = settings.simulations_per_round
         leading = pool.map_outer(lambda each: self.refine(each, simulations), leading)
         done: list[Hypothesis] = []
@@ -409,10 +394,6 @@ class _Screening:
             for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
             if kind == "slow"
         )
-
-
-def _without(effects: tuple[type[AbstractEffect], ...], place: int):
-    return effects[:place] + effects[place + 1 :]
 
 
 def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:

@@ -20,6 +20,7 @@ from diagnose.hypotheses.hypothesis import (
     lower_bounds,
     top_ranked,
 )
+from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_variants
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
@@ -28,19 +29,9 @@ from diagnose.hypotheses.refinement import (
 )
 from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
-from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
-
-# Numbers of a ranking by linear fits: the share of the worst block's RMS in model errors that model
-# errors are raised to, and the share of a response that may be wrong for being linear.
-Ranking = tuple[float, float]
-
-
-# Where the gap is large, an error for being linear hides what an effect explains. The last ranking
-# takes linear responses at their word: an effect that zeta all but makes up for is small only on
-# the whole.
-DEFAULT_RANKINGS: tuple[Ranking, ...] = ((0.3, 0.1), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -144,7 +135,6 @@ def refine_sets(
     for turn in range(settings.max_rounds):
         first = turn * settings.sets_per_round
         begun = [each.build() for each in firsts[first : first + settings.sets_per_round]]
-        regressors.dataset.precompile(pool, predict, [each.model for each in begun])
         found += _race(regressors, begun, pool, settings, refinement)
         found.sort(key=lambda each: -each.score)
         if not found or _worst_miss(regressors, found[0]) <= settings.far_from_floor:
@@ -300,34 +290,16 @@ def _with_any(
     rankings: Sequence[Ranking],
 ) -> list[list[SetCandidate]]:
     """A base with any other effect from its null, by each of the rankings."""
-    columns = [
-        np.concatenate([mine, theirs[:, :, 1:]], axis=2)
-        for mine, theirs in zip(first.columns, regressors.columns, strict=True)
-    ]
-    matrices = regressors.gram_matrices_of(columns, first.residual, first.log_zeta, pool)
-    count, weights = len(first.coordinates), regressors.settings
+    of_run = first.columns, first.residual, first.log_zeta
+    matrices = regressors.gram_matrices_beside_all(*of_run, pool)
+    others = [v for v in regressors.variants if v.effect.about.name not in first.names]
+    best = best_variants(
+        matrices, least_changes(first), others, miss, rankings, regressors.settings
+    )
     found = []
-    for share, linear_error in rankings:
-        inflation = floor_inflation(matrices.blocks, miss, share, weights)
-        best: dict[str, tuple[ShapeVariant, LinearFit]] = {}
-        for variant in regressors.variants:
-            name = variant.effect.about.name
-            if name in first.names:
-                continue
-            taken = [*range(count), *(count + column for column in variant.columns)]
-            fit = fit_linear(
-                matrices,
-                taken,
-                prior=np.full(len(taken), weights.strength_prior),
-                lower=np.r_[least_changes(first), lower_bounds(variant.effect)],
-                linear_error=linear_error,
-                inflation=inflation,
-                settings=weights,
-            )
-            if name not in best or fit.score > best[name][1].score:
-                best[name] = variant, fit
+    for leading in best:
         order = []
-        for name, (variant, fit) in best.items():
+        for name, (variant, fit) in leading.items():
             build = partial(_join_from_null, regressors, first, variant, fit)
             order.append(SetCandidate(frozenset((*first.names, name)), True, fit.score, build))
         found.append(order)

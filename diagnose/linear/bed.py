@@ -8,8 +8,11 @@ others' within that scatter; or nobody did, and each run has its own.
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+
+Numeric = TypeVar("Numeric", float, np.ndarray)
 
 
 class AbstractBed(ABC):
@@ -28,11 +31,12 @@ class AbstractBed(ABC):
         """
 
     @abstractmethod
-    def hold(self, variance: float, contrasts: int) -> float:
+    def hold(self, variance: Numeric, contrasts: int) -> Numeric:
         """Weight of a squared distance of log zeta from its mean, in a reweighted fit [-].
 
         It is the derivative of the evidence by half the sum of squares, and one over the variance
-        of a run's log zeta as the bed and the runs tell it. Arguments as for `evidence`.
+        of a run's log zeta as the bed and the runs tell it. Arguments as for `evidence`, of any
+        shape.
         """
 
     @abstractmethod
@@ -71,7 +75,7 @@ class PreparedBed(AbstractBed):
         worth = self.statements + contrasts
         return -0.5 * worth * float(np.log1p(contrasts * variance / scale))
 
-    def hold(self, variance: float, contrasts: int) -> float:
+    def hold(self, variance: Numeric, contrasts: int) -> Numeric:
         squares = self.statements * self.scatter**2 + contrasts * variance
         return (self.statements + contrasts) / squares
 
@@ -101,7 +105,7 @@ class FreeBed(AbstractBed):
         scatter = float(np.log(variance + self.scatter**2 + pardoned))
         return -0.5 * self.worth * contrasts * scatter
 
-    def hold(self, variance: float, contrasts: int) -> float:
+    def hold(self, variance: Numeric, contrasts: int) -> Numeric:
         return self.worth / (variance + self.scatter**2)
 
     def after_repeats(self, log_zeta: np.ndarray, groups: Sequence[Sequence[int]]) -> "FreeBed":

@@ -180,47 +180,94 @@ def fit_linear(
             most lead.
         settings: Weights and numbers of the fit.
     """
-    problem = _problem(matrices.of_columns(columns), prior, offset, lower, inflation, settings)
     share = settings.linear_error if linear_error is None else linear_error
-    still = np.zeros(len(problem.log_zeta))
-    mean_square = problem.gram[:, :, -1, -1].sum(axis=0) / problem.divisor
+    taken = np.asarray(columns, int)[None]
+    one = np.zeros(taken.shape)
+    fit = FitRequest(
+        taken,
+        np.broadcast_to(np.inf if prior is None else prior, one.shape),
+        np.broadcast_to(0.0 if offset is None else offset, one.shape),
+        np.broadcast_to(-np.inf if lower is None else lower, one.shape),
+        np.array([share]),
+        np.array([inflation]),
+    )
+    return fit_each(matrices, fit, settings)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class FitRequest:
+    """Linear fits of as many columns each, to be made side by side.
+
+    Attributes:
+        columns: Numbers of the columns that act, shape (fits, columns).
+        prior: Width of the Gaussian prior on each coefficient; infinite for none; same shape.
+        offset: Value that each coefficient counts from, over the centre of its prior; same shape.
+        lower: Lower bound of each coefficient; same shape.
+        linear_error: Share of the columns' response that may be wrong for being linear [-], shape
+            (fits,).
+        inflation: Factor on every block's model error [-], shape (fits,).
+    """
+
+    columns: np.ndarray
+    prior: np.ndarray
+    offset: np.ndarray
+    lower: np.ndarray
+    linear_error: np.ndarray
+    inflation: np.ndarray
+
+
+def fit_each(
+    matrices: GramMatrices,
+    request: FitRequest,
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
+) -> list[LinearFit]:
+    """Make linear fits side by side; see `fit_linear`.
+
+    Args:
+        matrices: Gram matrices of the runs.
+        request: The fits.
+        settings: Weights and numbers of the fits.
+    """
+    problem = _problem(matrices, request, settings)
+    fits, runs = len(request.columns), len(problem.log_zeta)
+    mean_square = problem.gram[..., -1, -1].sum(axis=1) / problem.divisor
+    still = np.zeros((fits, runs))
     variance = problem.variance(still)
-    response_error = np.zeros(len(mean_square))
-    coefficients, change = np.zeros(len(columns)), still
+    response_error = np.zeros_like(mean_square)
+    coefficients, change = np.zeros(request.columns.shape), still
     for _ in range(settings.iterations):
         weight = problem.worth / (
             problem.divisor * (mean_square + problem.model_error**2 + response_error)
         )
         coefficients, change = problem.solve(weight, variance)
         mean_square = problem.mean_square(change, coefficients, residual=1.0)
-        response_error = share**2 * problem.mean_square(still, coefficients, residual=0.0)
+        response = problem.mean_square(still, coefficients, residual=0.0)
+        response_error = request.linear_error[:, None] ** 2 * response
         variance = problem.variance(change)
-    score = log_score(
-        matrices.blocks,
-        matrices.sample_count.sum(axis=0),
-        mean_square + response_error,
-        variance,
-        len(change),
-        inflation,
-        settings,
-    )
-    return LinearFit(score, coefficients, change, mean_square, variance)
+    count = matrices.sample_count.sum(axis=0)
+    found = []
+    for fit in range(fits):
+        left, factor = mean_square[fit] + response_error[fit], float(request.inflation[fit])
+        spread = float(variance[fit])
+        score = log_score(matrices.blocks, count, left, spread, runs, factor, settings)
+        found.append(LinearFit(score, coefficients[fit], change[fit], mean_square[fit], spread))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """A linear fit's constants.
+    """Constants of linear fits that are made side by side.
 
     Attributes:
-        gram: Of (own log zeta, columns..., residual), shape (runs, blocks, n, n).
+        gram: Of (own log zeta, columns..., residual), shape (fits, runs, blocks, n, n).
         divisor: Samples in each block, one at least.
         worth: Independent statements in each block.
-        model_error: In each block.
+        model_error: In each block, shape (fits, blocks).
         log_zeta: Log zeta of each run before the fit.
-        precision: Of the prior on each coefficient.
-        offset: Value that each coefficient counts from.
-        lower: Lower bound of each coefficient; none at all where None.
-        settings: Of the fit.
+        precision: Of the prior on each coefficient, shape (fits, columns).
+        offset: Value that each coefficient counts from, same shape.
+        lower: Lower bound of each coefficient, same shape.
+        settings: Of the fits.
     """
 
     gram: np.ndarray
@@ -230,7 +277,7 @@ class _Problem:
     log_zeta: np.ndarray
     precision: np.ndarray
     offset: np.ndarray
-    lower: np.ndarray | None
+    lower: np.ndarray
     settings: LinearFitSettings
 
     @property
@@ -239,79 +286,82 @@ class _Problem:
         runs = len(self.log_zeta)
         return np.eye(runs) - 1.0 / runs
 
-    def variance(self, change: np.ndarray) -> float:
-        """Variance of log zeta over the runs after a change."""
+    def variance(self, change: np.ndarray) -> np.ndarray:
+        """Variance of log zeta over the runs after a change of shape (fits, runs)."""
         moved = self.log_zeta + change
-        return float(moved @ self.centring @ moved) / max(len(moved) - 1, 1)
+        squares = ((moved @ self.centring) * moved).sum(axis=1)
+        return squares / max(len(self.log_zeta) - 1, 1)
 
     def mean_square(
         self, change: np.ndarray, coefficients: np.ndarray, residual: float
     ) -> np.ndarray:
         """Mean square in each block of the responses and so many times the residual."""
-        runs = len(change)
-        factors = np.concatenate(
-            [change[:, None], np.tile(coefficients, (runs, 1)), np.full((runs, 1), residual)],
-            axis=1,
-        )
-        total = np.einsum("ri,rbij,rj->b", factors, self.gram, factors)
+        fits, runs = change.shape
+        for_each_run = np.broadcast_to(coefficients[:, None], (fits, runs, coefficients.shape[1]))
+        last = np.full((fits, runs, 1), residual)
+        factors = np.concatenate([change[..., None], for_each_run, last], axis=2)
+        products = (self.gram @ factors[:, :, None, :, None])[..., 0]
+        total = np.einsum("fri,frbi->fb", factors, products)
         return np.maximum(total / self.divisor, 0)
 
-    def solve(self, weight: np.ndarray, variance: float) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, weight: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients and changes of log zeta for these weights of blocks."""
         normal, right = self._normal_equations(weight, variance)
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        size = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         # A slight ridge keeps columns apart that all but coincide.
-        scaled = normal / np.outer(size, size) + 1e-10 * np.eye(len(right))
-        solution = np.linalg.solve(scaled, right / size) / size
-        p = len(self.precision)
-        if self.lower is not None and (low := np.flatnonzero(solution[:p] < self.lower)).size:
+        scaled = normal / (size[:, :, None] * size[:, None, :]) + 1e-10 * np.eye(right.shape[1])
+        solution = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
+        p = self.precision.shape[1]
+        low = solution[:, :p] < self.lower
+        if (again := low.any(axis=1)).any():
             # Coefficients below their bound stay at it, and the others are solved for again.
-            free = np.setdiff1d(np.arange(len(right)), low)
-            solution[low] = self.lower[low]
-            held = (right - normal[:, low] @ self.lower[low])[free]
-            inner = scaled[np.ix_(free, free)]
-            solution[free] = np.linalg.solve(inner, held / size[free]) / size[free]
-        return solution[:p], solution[p:]
+            held = np.pad(low[again], [(0, 0), (0, right.shape[1] - p)])
+            bound = np.zeros(held.shape)
+            bound[:, :p] = np.where(low, self.lower, 0.0)[again]
+            left = right[again] - (normal[again] @ bound[..., None])[..., 0]
+            inner = np.where(held[:, :, None] | held[:, None, :], 0.0, scaled[again])
+            inner += held[:, :, None] * np.eye(right.shape[1])
+            free = np.where(held, 0.0, left / size[again])
+            solved = np.linalg.solve(inner, free[..., None])[..., 0] / size[again]
+            solution[again] = np.where(held, bound, solved)
+        return solution[:, :p], solution[:, p:]
 
     def _normal_equations(
-        self, weight: np.ndarray, variance: float
+        self, weight: np.ndarray, variance: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right side over (coefficients, changes of log zeta)."""
-        p, runs = len(self.precision), len(self.log_zeta)
-        summed = np.einsum("b,rbij->rij", weight, self.gram)
-        normal, right = np.zeros((p + runs, p + runs)), np.zeros(p + runs)
-        normal[:p, :p] = summed[:, 1:-1, 1:-1].sum(axis=0) + np.diag(self.precision)
-        right[:p] = -summed[:, 1:-1, -1].sum(axis=0) - self.precision * self.offset
+        (fits, p), runs = self.precision.shape, len(self.log_zeta)
+        summed = np.einsum("fb,frbij->frij", weight, self.gram)
+        normal, right = np.zeros((fits, p + runs, p + runs)), np.zeros((fits, p + runs))
+        prior = self.precision[:, :, None] * np.eye(p)
+        normal[:, :p, :p] = summed[:, :, 1:-1, 1:-1].sum(axis=1) + prior
+        right[:, :p] = -summed[:, :, 1:-1, -1].sum(axis=1) - self.precision * self.offset
         own = np.arange(p, p + runs)
-        normal[own, own] = summed[:, 0, 0]
-        normal[:p, p:] = summed[:, 1:-1, 0].T
-        normal[p:, :p] = summed[:, 1:-1, 0]
-        right[p:] = -summed[:, 0, -1]
+        normal[:, own, own] = summed[:, :, 0, 0]
+        normal[:, :p, p:] = np.swapaxes(summed[:, :, 1:-1, 0], 1, 2)
+        normal[:, p:, :p] = summed[:, :, 1:-1, 0]
+        right[:, p:] = -summed[:, :, 0, -1]
         hold = self.settings.bed.hold(variance, runs - 1)
-        normal[p:, p:] += hold * self.centring
-        right[p:] -= hold * self.centring @ self.log_zeta
+        normal[:, p:, p:] += hold[:, None, None] * self.centring
+        right[:, p:] -= hold[:, None] * (self.centring @ self.log_zeta)
         return normal, right
 
 
-def _problem(
-    matrices: GramMatrices,
-    prior: np.ndarray | None,
-    offset: np.ndarray | None,
-    lower: np.ndarray | None,
-    inflation: float,
-    settings: LinearFitSettings,
-) -> _Problem:
-    count = matrices.gram.shape[-1] - 2
+def _problem(matrices: GramMatrices, request: FitRequest, settings: LinearFitSettings) -> _Problem:
+    fits = len(request.columns)
+    last = np.full((fits, 1), matrices.gram.shape[-1] - 1)
+    take = np.concatenate([np.zeros_like(last), 1 + request.columns, last], axis=1)
+    gram = matrices.gram[:, :, take[:, :, None], take[:, None, :]]
     total = matrices.sample_count.sum(axis=0)
     return _Problem(
-        matrices.gram,
+        np.ascontiguousarray(np.moveaxis(gram, 2, 0)),
         np.maximum(total, 1),
         total * settings.worth(matrices.blocks),
-        inflation * settings.model_errors(matrices.blocks),
+        request.inflation[:, None] * settings.model_errors(matrices.blocks),
         matrices.log_zeta,
-        np.zeros(count) if prior is None else 1 / np.asarray(prior) ** 2,
-        np.zeros(count) if offset is None else np.asarray(offset),
-        lower,
+        1 / request.prior**2,
+        request.offset,
+        request.lower,
         settings,
     )
 

@@ -67,6 +67,8 @@ class Regressors:
             units of its typical size) [m, N, N m], shape (channels, samples, 1 + columns).
         residual: By run: simulated minus recorded there [m, N, N m], shape (channels, samples).
         splits: By run: maps from its samples to blocks.
+        parts: By run, by block: every column but own log zeta, in that block, shape (statements,
+            columns).
         gram_matrices: Products of all columns with each other and with the residual.
         settings: Weights of all fits of these responses.
     """
@@ -77,6 +79,7 @@ class Regressors:
     columns: list[np.ndarray]
     residual: list[np.ndarray]
     splits: list[SlowFastSplit]
+    parts: list[list[np.ndarray]] = field(repr=False)
     gram_matrices: GramMatrices = field(repr=False)
     settings: LinearFitSettings = DEFAULT_LINEAR_FIT
 
@@ -108,11 +111,21 @@ class Regressors:
             columns[:, :, 1:] *= typical
             return columns, plain - dataset.recording(run)
 
-        both = pool.map(of, dataset.run_numbers)
+        both = dataset.map(pool, of)
         columns, residual = [c for c, _ in both], [r for _, r in both]
         splits = [SlowFastSplit.of(dataset.time(run)) for run in dataset.run_numbers]
-        gram = _gram_matrices(dataset, splits, columns, residual, log_zeta, pool)
-        return cls(dataset, log_zeta, variants, columns, residual, splits, gram, settings)
+        together = pool.map(
+            lambda run: _parts(dataset, splits[run], columns[run], residual[run]),
+            dataset.run_numbers,
+        )
+        gram = _gram_matrices(
+            dataset,
+            [[part.T @ part for part in of] for of in together],
+            [[len(part) for part in of] for of in together],
+            log_zeta,
+        )
+        parts = [[part[:, 1:-1] for part in of] for of in together]
+        return cls(dataset, log_zeta, variants, columns, residual, splits, parts, gram, settings)
 
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:
@@ -151,7 +164,49 @@ class Regressors:
             log_zeta: Log zeta of each run over its set-up's [-], where they are taken.
             pool: Threads.
         """
-        return _gram_matrices(self.dataset, self.splits, columns, residual, log_zeta, pool)
+        dataset = self.dataset
+
+        def of(run: int) -> tuple[list[np.ndarray], list[int]]:
+            parts = _parts(dataset, self.splits[run], columns[run], residual[run])
+            return [part.T @ part for part in parts], [len(part) for part in parts]
+
+        grams, counts = zip(*dataset.map(pool, of), strict=True)
+        return _gram_matrices(dataset, grams, counts, log_zeta)
+
+    def gram_matrices_beside_all(
+        self,
+        columns: list[np.ndarray],
+        residual: list[np.ndarray],
+        log_zeta: np.ndarray,
+        pool: RunPool,
+    ) -> GramMatrices:
+        """The same with every column of the regressors behind those that are given.
+
+        Args:
+            columns, residual, log_zeta, pool: As for `gram_matrices_of`.
+        """
+        dataset, known = self.dataset, self.gram_matrices
+
+        def of(run: int) -> tuple[list[np.ndarray], list[int]]:
+            given = _parts(dataset, self.splits[run], columns[run], residual[run])
+            grams = []
+            for block, (part, mine) in enumerate(zip(given, self.parts[run], strict=True)):
+                # Products of the regressors with each other exist already.
+                own, cross = part.T @ part, part.T @ mine
+                theirs = known.gram[run, block, 1:-1, 1:-1]
+                grams.append(
+                    np.block(
+                        [
+                            [own[:-1, :-1], cross[:-1], own[:-1, -1:]],
+                            [cross[:-1].T, theirs, cross[-1:].T],
+                            [own[-1:, :-1], cross[-1:], own[-1:, -1:]],
+                        ]
+                    )
+                )
+            return grams, [len(part) for part in given]
+
+        grams, counts = zip(*dataset.map(pool, of), strict=True)
+        return _gram_matrices(dataset, grams, counts, log_zeta)
 
     def block_mean_squares(
         self, residual: list[np.ndarray], pool: RunPool
@@ -174,32 +229,37 @@ def _log_reference_zeta(dataset: RigDataset) -> np.ndarray:
     )
 
 
+def _parts(
+    dataset: RigDataset, split: SlowFastSplit, columns: np.ndarray, residual: np.ndarray
+) -> list[np.ndarray]:
+    """Columns of a run and its residual, by block; of no samples where a channel has none.
+
+    Args:
+        dataset: The runs.
+        split: Map from the run's samples to blocks.
+        columns: Shape (channels, samples, columns).
+        residual: Shape (channels, samples).
+    """
+    found = []
+    for index, channel in enumerate(dataset.channels):
+        both = np.concatenate([columns[index], residual[index][:, None]], axis=1)
+        recorded = np.isfinite(both[:, -1]).all()
+        parts = split.split(channel, both).values()
+        found += parts if recorded else [part[:0] for part in parts]
+    return found
+
+
 def _gram_matrices(
     dataset: RigDataset,
-    splits: Sequence[SlowFastSplit],
-    columns: list[np.ndarray],
-    residual: list[np.ndarray],
+    grams: Sequence[Sequence[np.ndarray]],
+    counts: Sequence[Sequence[int]],
     log_zeta: np.ndarray,
-    pool: RunPool,
 ) -> GramMatrices:
-    """Gram matrices by run and block; zero, of no samples, where a channel was not recorded."""
-
-    def of(run: int) -> tuple[np.ndarray, np.ndarray]:
-        grams, counts = [], []
-        for index, channel in enumerate(dataset.channels):
-            both = np.concatenate([columns[run][index], residual[run][index][:, None]], axis=1)
-            recorded = np.isfinite(both[:, -1]).all()
-            for part in splits[run].split(channel, both).values():
-                part = part if recorded else np.zeros_like(part)
-                grams.append(part.T @ part)
-                counts.append(len(part) if recorded else 0)
-        return np.array(grams), np.array(counts)
-
-    found = pool.map(of, dataset.run_numbers)
+    """Gram matrices and numbers of statements, both by run and block."""
     return GramMatrices(
         block_names(dataset.channels),
-        np.array([gram for gram, _ in found]),
-        np.array([count for _, count in found]),
+        np.array(grams),
+        np.array(counts),
         log_zeta + _log_reference_zeta(dataset),
     )
 

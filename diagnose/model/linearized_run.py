@@ -156,12 +156,14 @@ def linearize(
             begun,
         )
 
-        def write_row(table):
+        def at_middle(_):
             middle = command(first + steps // 2)
-            row = _node_row(simulator, begun, state, middle, dt, steps)
-            return jax.tree.map(lambda t, r: t.at[number].set(r), table, row)
+            return _node_row(simulator, begun, state, middle, dt, steps)
 
-        return state, jax.lax.cond(second, lambda table: table, write_row, table)
+        # Only the row passes through the branch, which would copy the whole table each time.
+        written = jax.tree.map(lambda column: column[number], table)
+        row = jax.lax.cond(second, lambda same: same, at_middle, written)
+        return state, jax.tree.map(lambda t, r: t.at[number].set(r), table, row)
 
     inputs = len(INPUTS)
     shapes = [(), (5,), (), (), (5,), (), (3,), (5, 5), (5, 5), (5, inputs), (3, 5), (3, inputs)]

@@ -29,7 +29,6 @@ from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.localization.shares import GapShare
-from diagnose.model.augmented_model import AugmentedModel, predict
 from diagnose.model.shared_programs import in_modes
 from diagnose.run_pool import RunPool
 from diagnose.selection.model_weights import DEFAULT_WEIGHTS, WeightSettings
@@ -262,7 +261,6 @@ def _simulate_curves(
         )
         for each, _ in curves
     ]
-    dataset.precompile(pool, predict, [AugmentedModel((each,)) for each in types])
     regressors = Regressors.of(dataset, linearized, types, pool, weights)
 
     def fitted(one: tuple[tuple[FittedCurve, float], ShapeVariant]) -> Correction | None:

@@ -132,7 +132,7 @@ def estimate_disturbances(
         given = None if residual is None else residual[run]
         return _run_regressors(dataset, run, linearized, given, settings.knot_spacing, errors)
 
-    found = pool.map(of_run, dataset.run_numbers)
+    found = dataset.map(pool, of_run)
     times = [time for time, _, _ in found]
     count = 1 + max(len(time) for time in times)
     channels = range(len(dataset.channels))

@@ -38,6 +38,11 @@ Matrix = Float[Array, "2 2"]
 class AbstractBalance(eqx.Module):
     """Balance of momentum over one step, as a function of the velocity at its end."""
 
+    @property
+    @abc.abstractmethod
+    def force_count(self) -> int:
+        """How many forces `of_sums` returns beside the residual."""
+
     @abc.abstractmethod
     def by_plate(self, velocity: Pair) -> tuple[Float[Array, " plates"], ...]:
         """Columns that are summed over the plates, at a velocity.
@@ -193,13 +198,12 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         return judged(root, part * step), step, part
 
     # The first turn is at the guess, and is accepted: so the force stands in the program once.
-    forces = jax.eval_shape(lambda: balance(guess)[1])
     first = Root(
         velocity=guess,
         residual=jnp.full_like(guess, jnp.inf),
-        forces=jnp.zeros(forces.shape, forces.dtype),
+        forces=jnp.zeros(balance.force_count, guess.dtype),
         jacobian=jnp.eye(2, dtype=guess.dtype),
-        forces_slope=jnp.zeros((*forces.shape, 2), forces.dtype),
+        forces_slope=jnp.zeros((balance.force_count, 2), guess.dtype),
         evaluations=jnp.asarray(0),
         found=jnp.asarray(False),
     )

@@ -345,6 +345,10 @@ class StepBalance(AbstractBalance):
     moment: StepContext
     zeta: Float[Array, ""]
 
+    @property
+    def force_count(self) -> int:
+        return 3  # fx, fz and the torque
+
     def by_plate(self, velocity: Float[Array, "2"]) -> tuple[Float[Array, " plates"], ...]:
         moment, velocity = self.moment, self._imposed(velocity)
         at = self._position(velocity), velocity, moment.angle, moment.omega

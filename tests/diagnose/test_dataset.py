@@ -62,7 +62,7 @@ def test_a_run_without_samples_early_in_the_motion_is_met_by_all_it_has():
 def test_a_warmed_model_compiles_nothing_when_it_predicts(compiled, pool):
     dataset = dataset_with()
     filtering = AugmentedModel((effect_class("measurement_filter"),))
-    dataset.precompile(pool, predict, [filtering])
+    dataset.compile(pool, predict, filtering)
     assert compiled
     compiled.clear()
     for run in range(len(dataset.runs)):

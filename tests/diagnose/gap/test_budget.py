@@ -56,6 +56,9 @@ class Bench:
         setup = SimpleNamespace()
         self.runs = [SimpleNamespace(name=name, setup=setup) for name in "ab"]
 
+    def map(self, pool, work):
+        return [work(run) for run in self.run_numbers]
+
     def sample_interval(self, run: int) -> float:
         return 0.01
 

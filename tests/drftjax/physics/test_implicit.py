@@ -27,6 +27,10 @@ class Block(AbstractBalance):
     push: Float[Array, "2"]
     friction: Float[Array, ""]
 
+    @property
+    def force_count(self):
+        return 2
+
     def by_plate(self, velocity):
         speed = jnp.sqrt(jnp.sum(velocity**2) + WIDTH**2)
         # A floor of four plates that bear a quarter each.

@@ -1,0 +1,74 @@
+"""Ranking of effects by linear fits, alone or beside a refined hypothesis."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnose.hypotheses.hypothesis import lower_bounds
+from diagnose.linear.linear_fit import (
+    FitRequest,
+    GramMatrices,
+    LinearFit,
+    LinearFitSettings,
+    fit_each,
+    floor_inflation,
+)
+from diagnose.linear.regressors import ShapeVariant
+
+# Numbers of a ranking by linear fits: the share of the worst block's RMS in model errors that model
+# errors are raised to, and the share of a response that may be wrong for being linear.
+Ranking = tuple[float, float]
+
+
+# Where the gap is large, an error for being linear hides what an effect explains. The last ranking
+# takes linear responses at their word: an effect that zeta all but makes up for is small only on
+# the whole.
+DEFAULT_RANKINGS: tuple[Ranking, ...] = ((0.3, 0.1), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0))
+
+
+def best_variants(
+    matrices: GramMatrices,
+    lower: np.ndarray,
+    variants: Sequence[ShapeVariant],
+    miss: np.ndarray,
+    rankings: Sequence[Ranking],
+    settings: LinearFitSettings,
+) -> list[dict[str, tuple[ShapeVariant, LinearFit]]]:
+    """The best variant of each effect and its linear fit, by each of some rankings.
+
+    Args:
+        matrices: Gram matrices of a hypothesis's columns, and of the regressors' behind them.
+        lower: Lower bound of the change of each of its coordinates; empty beside no effect.
+        variants: Effects that may be added to it.
+        miss: Mean square that is left in each block without them, shape (blocks,).
+        rankings: Numbers of the fits.
+        settings: Weights of the fits.
+
+    Returns:
+        By ranking, by name of the effect.
+    """
+    count = len(lower)
+    inflation = [floor_inflation(matrices.blocks, miss, share, settings) for share, _ in rankings]
+    best: list[dict[str, tuple[ShapeVariant, LinearFit]]] = [{} for _ in rankings]
+    # Fits of as many columns are made side by side.
+    for size in sorted({len(each.columns) for each in variants}):
+        alike = [each for each in variants if len(each.columns) == size]
+        taken = [[*range(count), *(count + column for column in each.columns)] for each in alike]
+        bounds = [[*lower, *lower_bounds(each.effect)] for each in alike]
+        columns = np.tile(taken, (len(rankings), 1))
+        request = FitRequest(
+            columns,
+            np.full(columns.shape, settings.strength_prior),
+            np.zeros(columns.shape),
+            np.tile(bounds, (len(rankings), 1)),
+            np.repeat([error for _, error in rankings], len(alike)),
+            np.repeat(inflation, len(alike)),
+        )
+        fits = fit_each(matrices, request, settings)
+        for place, leading in enumerate(best):
+            mine = fits[place * len(alike) : (place + 1) * len(alike)]
+            for variant, fit in zip(alike, mine, strict=True):
+                name = variant.effect.about.name
+                if name not in leading or fit.score > leading[name][1].score:
+                    leading[name] = variant, fit
+    return best
