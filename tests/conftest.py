@@ -32,15 +32,8 @@ os.environ |= {
     # As `drft` and the workers of a cluster have it: sums of other threads round otherwise.
     "OPENBLAS_NUM_THREADS": "1",
 }
-# Compiling is most of the tests' time, and takes a quarter less without these, and less in one
-# piece than in several. The rest is as `drft` has it, whichever test of a process comes first.
-os.environ.setdefault(
-    "XLA_FLAGS",
-    with_options(
-        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1 "
-        "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
-    ),
-)
+# As `drft` compiles, whichever test of a process comes first.
+os.environ.setdefault("XLA_FLAGS", with_options(""))
 # A run on an accelerator names it: JAX_PLATFORMS=cuda,cpu make test
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 

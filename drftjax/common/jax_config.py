@@ -12,8 +12,13 @@ XLA_OPTIONS = {
     "xla_backend_extra_options": "xla_cpu_small_while_loop_byte_threshold=1000000000",
     # Plates side by side in vectors as wide as the processor has; halves of them otherwise.
     "xla_cpu_prefer_vector_width": "512",
+    # These take half of a compilation's time, and make no program here faster.
+    "xla_cpu_use_fusion_emitters": "false",
+    "xla_backend_optimization_level": "1",
+    "xla_llvm_disable_expensive_passes": "true",
+    "xla_cpu_parallel_codegen_split_count": "1",
 }
-"""Options with which XLA compiles the loop of a run to run in a fifth of the time."""
+"""Options with which XLA compiles the loop of a run in half the time, to run in a fifth of it."""
 
 
 def with_options(given: str) -> str:
