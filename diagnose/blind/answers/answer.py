@@ -3,6 +3,7 @@
 Imports no JAX itself: `configure` sets it up first, in each process.
 """
 
+import gc
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -13,6 +14,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 
+from drftjax.commands.main import ALLOCATIONS_BETWEEN_COLLECTIONS
 from drftjax.common.errors import InputError, require_input_folder
 
 # Sets after which a process is replaced: the programs compiled for them take gigabytes.
@@ -146,6 +148,7 @@ def configure_helper(cores: set[int]) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     if cores:
         os.sched_setaffinity(0, cores)
+    gc.set_threshold(ALLOCATIONS_BETWEEN_COLLECTIONS)
     configure()
 
 
