@@ -74,6 +74,7 @@ def by_kind(sets: list[ScoredSet]) -> dict[str, dict]:
             )
         if kind == SEVERAL:
             row["effects_offered"] = _together(each.effects_offered for each in these)
+            row["false_names"] = _together(each.confident_names for each in these)
             row["worse_channels"] = _together(each.worse_channels for each in these)
             row["budget_shares"] = _together(each.budget_shares for each in these)
         if kind.startswith(CHANGE):

@@ -128,14 +128,18 @@ class ScoredSet:
         return frozenset({self.first, *self.answer.named()}.union(*self.answer.groups))
 
     @property
+    def confident_names(self) -> list[bool]:
+        """For every effect with a confident weight, True if the rig does not have it."""
+        return [
+            not self.is_right(name)
+            for name, weight in self.answer.weights.items()
+            if weight > self.settings.confident_weight and name not in (NONE, UNKNOWN)
+        ]
+
+    @property
     def confidently_wrong(self) -> bool:
         """True if an effect that the rig does not have has a confident weight."""
-        return any(
-            weight > self.settings.confident_weight
-            and name not in (NONE, UNKNOWN)
-            and not self.is_right(name)
-            for name, weight in self.answer.weights.items()
-        )
+        return any(self.confident_names)
 
     @property
     def effects_offered(self) -> list[bool]:

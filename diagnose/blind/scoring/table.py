@@ -37,6 +37,7 @@ def _kinds(score: dict) -> WholeWordTable:
         "false_alarms": "false alarms",
         "confidently_wrong": "sure of a wrong effect",
         "effects_offered": "effects named or in a group",
+        "false_names": "names over 0.8 that are not there",
         "worse_channels": "channels made worse",
         "budget_shares": "shares within 10 points",
         "size": "size within 20 %",

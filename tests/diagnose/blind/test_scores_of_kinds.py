@@ -64,6 +64,8 @@ def test_several_effects_are_counted_one_by_one():
     assert (row["effects_offered"]["hits"], row["effects_offered"]["of"]) == (2, 3)
     assert row["in_group"]["hits"] == 0
     assert row["confidently_wrong"]["hits"] == 1
+    # Over 0.8 are drawbar, which is there, and cohesion, which is not.
+    assert (row["false_names"]["hits"], row["false_names"]["of"]) == (1, 2)
     assert (row["worse_channels"]["hits"], row["worse_channels"]["of"]) == (1, 2)
     # In x: drawbar and sinkage_gain within 0.1, loosening (0 of 0.2) and cohesion (0.15 of 0) not;
     # in z, of which the budget says nothing, only drawbar's share is as small as that.
