@@ -1,5 +1,6 @@
 """Rollout of a whole run: the simulator's step scanned over a command."""
 
+import dataclasses
 from collections.abc import Callable
 
 import jax
@@ -47,10 +48,8 @@ def simulate(
     # The step stands in the program once: its compilation is most of what a short run costs.
     @jax.checkpoint
     def row(state: State, block: Command) -> tuple[State, Output]:
-        first = jax.tree.map(lambda c: c[0], block)
-        kept = jax.eval_shape(lambda: simulator.step(state, first, dt)[1])
-        kept = jax.tree.map(lambda value: jnp.zeros(value.shape, value.dtype), kept)
-        return jax.lax.scan(advance, (state, kept), block)[0]
+        nothing = Output(*(jnp.zeros_like(state.time) for _ in dataclasses.fields(Output)))
+        return jax.lax.scan(advance, (state, nothing), block)[0]
 
     return jax.lax.scan(row, state, blocks)
 
