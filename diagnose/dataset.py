@@ -11,7 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, predict
+from diagnose.model.augmented_model import (
+    MAX_COVERED_SHARE,
+    AugmentedModel,
+    Directions,
+    predict,
+)
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
@@ -154,7 +159,7 @@ class RigDataset:
                 return RigDataset.of(fewer, self.settings)
         return self
 
-    def compile(self, pool: RunPool, program: Callable, model: AugmentedModel) -> None:
+    def compile(self, pool: RunPool, program: Callable, model: AugmentedModel | Directions) -> None:
         """Compile a program for a model in one thread, before several need it.
 
         Otherwise each of them would compile it for itself. While it is compiled, other threads may
@@ -163,14 +168,18 @@ class RigDataset:
 
         Args:
             pool: Threads.
-            program: `predict` or `predict_with_jacobian`.
-            model: Model that is going to be simulated.
+            program: `predict`, or `predict_with_jacobian`.
+            model: What is going to be simulated: its first argument.
         """
         observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
         nothing = eqx.tree_at(lambda o: o.compared_rows, observed, none)
-        given = self.channels, self.trials[0], nothing, as_real(0.0), model.null()
-        pool.once((self, program, model.program[0]), lambda: program(model, *given))
+        if isinstance(model, Directions):
+            key, null = model.key, np.zeros(model.free)
+        else:
+            key, null = model.program[0], model.null()
+        given = self.channels, self.trials[0], nothing, as_real(0.0), null
+        pool.once((self, program, key), lambda: program(model, *given))
 
     def counts(self, run: int) -> np.ndarray:
         """Mask of a run's recorded samples that are compared, shape (all samples,)."""

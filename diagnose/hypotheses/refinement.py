@@ -31,7 +31,11 @@ from diagnose.linear.linear_fit import (
     log_score,
 )
 from diagnose.linear.regressors import Regressors
-from diagnose.model.augmented_model import predict, predict_with_jacobian
+from diagnose.model.augmented_model import (
+    directions_within,
+    predict,
+    predict_with_jacobian,
+)
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 
@@ -116,11 +120,12 @@ def refine(
 def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypothesis:
     """The hypothesis with derivatives by the simulator itself, in forward mode, at its numbers."""
     dataset = regressors.dataset
-    dataset.compile(pool, predict_with_jacobian, here.model)
+    directions = directions_within(here.model, regressors.common_model)
+    dataset.compile(pool, predict_with_jacobian, directions)
 
     def of(run: int) -> np.ndarray:
         _, slope = predict_with_jacobian(
-            here.model,
+            directions,
             dataset.channels,
             dataset.trials[run],
             dataset.observations[run],

@@ -16,6 +16,7 @@ from diagnose.dataset import (
     RigDataset,
     match_initial_zeta,
 )
+from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings, exchanged_sets
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_fit_of, linear_start
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_variants
 from diagnose.hypotheses.refinement import (
@@ -29,6 +30,7 @@ from diagnose.hypotheses.set_screening import (
     DEFAULT_LARGER_SETS,
     DEFAULT_PAIRS,
     SetScreeningSettings,
+    race,
     refine_sets,
     without_effect,
 )
@@ -65,11 +67,12 @@ class ScreeningSettings:
         reference_simulations: Simulations by which the reference model's zetas are refined.
         first_simulations: Simulations of each single effect before the leading ones go on.
         max_continued: Leading hypotheses that go on.
-        max_relinearized: Of these, so many go on with derivatives by the simulator itself.
         max_rounds: Times that derivatives are computed again, at most.
         simulations_per_round: Simulations with each, at most.
         min_round_gain: A further round is made while the last one gained this much log score [-].
-        hopeless_deficit: A hypothesis that is this far behind the best in log score gets none [-].
+        hopeless_deficit: A hypothesis that is this far behind the best in log score, after as much
+            as the last round gained once more, gets none [-].
+        far_simulations: Simulations from a strength far from zero.
         far_from_floor: Strengths far from zero are tried one by one where the reference model
             misses a block by more than this many model errors [-].
         far_from_scatter: The same where the runs' zeta scatters by more than this many times the
@@ -82,12 +85,14 @@ class ScreeningSettings:
             half as much.
         min_set_share: The same while it gained this share of what was left to gain [-]. Effects
             that the rig has take a gap away in few steps; what is outside the list is nibbled at.
+        max_exchanges: Times that effects are exchanged for look-alikes, at most.
         initial_zeta: Numbers of the search for the zeta where all is linearised.
         linearization: Numbers of the linearisation.
         linear_fit: Weights of linear fits, and of the log score.
         refinement: Numbers of the refinement by simulation.
         pairs: Numbers of the choice of pairs.
         larger_sets: The same of sets of three effects and more.
+        exchange: Numbers of the choice of look-alikes.
     """
 
     min_simulated: int = 6
@@ -97,23 +102,25 @@ class ScreeningSettings:
     reference_simulations: int = 3
     first_simulations: int = 2
     max_continued: int = 3
-    max_relinearized: int = 2
-    max_rounds: int = 3
-    simulations_per_round: int = 5
+    max_rounds: int = 6
+    simulations_per_round: int = 2
     min_round_gain: float = 3.0
     hopeless_deficit: float = 100.0
+    far_simulations: int = 5
     far_from_floor: float = 30.0
     far_from_scatter: float = 10.0
     pair_floor: float = 1.5
     max_effects: int = 6
     min_set_gain: float = 8.0
     min_set_share: float = 0.1
+    max_exchanges: int = 2
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
     refinement: RefinementSettings = DEFAULT_REFINEMENT
     pairs: SetScreeningSettings = DEFAULT_PAIRS
     larger_sets: SetScreeningSettings = DEFAULT_LARGER_SETS
+    exchange: ExchangeSettings = DEFAULT_EXCHANGE
 
 
 DEFAULT_SCREENING = ScreeningSettings()
@@ -215,6 +222,7 @@ class _Screening:
             report("pairs of effects")
             by_size[1] = self.finish(self.refine_sets(singles, singles, self.settings.pairs))
             self.add_effects(by_size, report)
+            self.exchange_effects(by_size, report)
         singles, pairs, *larger = map(tuple, by_size)
         return ScreeningResult(self.regressors, none, singles, pairs, tuple(larger))
 
@@ -238,6 +246,31 @@ class _Screening:
             )
             if by_size[-1]:
                 self.take_out(by_size)
+
+    def exchange_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
+        """Try look-alikes in the places of the best set's effects while that pays.
+
+        Args:
+            by_size: Singles, pairs and larger sets, best first; those that begin with a better set
+                take the place of larger ones.
+            report: Called with what is done next.
+        """
+        settings = self.settings
+        for _ in range(settings.max_exchanges):
+            best = max((each[0] for each in by_size[1:] if each), key=lambda each: each.score)
+            if not self.leaves_gap(best):
+                break
+            report(f"look-alikes in sets of {len(best.names)} effects")
+            starts = exchanged_sets(self.regressors, best, self.pool, settings.exchange)
+            tried = self.finish(
+                race(self.regressors, starts, self.pool, settings.larger_sets, settings.refinement)
+            )
+            place = len(best.names) - 1
+            by_size[place] = sorted([*by_size[place], *tried], key=lambda each: -each.score)
+            if by_size[place][0].score < best.score + settings.min_set_gain:
+                break
+            del by_size[place + 1 :]
+            self.add_effects(by_size, report)
 
     def take_out(self, by_size: list[list[Hypothesis]]) -> None:
         """Try the best of the largest sets without each of its effects.
@@ -339,7 +372,7 @@ class _Screening:
             return best
         # The way there was long: the derivatives that it corrected hold for no small step.
         exact = relinearize(self.regressors, best, self.pool)
-        return self.refine(exact, self.settings.simulations_per_round)
+        return self.refine(exact, self.settings.far_simulations)
 
     def finish(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Refine the leading hypotheses to their end; return all of them, best first."""
@@ -347,34 +380,29 @@ class _Screening:
         worth = pool.map_outer(lambda each: predicted_score(regressors, each, pool), hypotheses)
         ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
         hypotheses = [each for _, each in ranked]
-        leading = hypotheses[: settings.max_continued]
-        simulations = settings.simulations_per_round
-        leading = pool.map_outer(lambda each: self.refine(each, simulations), leading)
         done: list[Hypothesis] = []
-        for place, each in enumerate(leading):
-            best = done[0].score if done else -np.inf
-            relinearized = place < settings.max_relinearized
-            leads = each.score > best
-            done.append(self.finish_one(each, best, leads) if relinearized else each)
+        for each in hypotheses[: settings.max_continued]:
+            best = max((other.score for other in done), default=-np.inf)
+            done.append(self.finish_one(each, best))
         return sorted(done + hypotheses[settings.max_continued :], key=lambda each: -each.score)
 
-    def finish_one(self, here: Hypothesis, best_score: float, leads: bool) -> Hypothesis:
+    def finish_one(self, here: Hypothesis, best_score: float) -> Hypothesis:
         """Refine a hypothesis with fresh derivatives, round by round, while that gains.
 
-        The one that leads gets a round where it leaves no gap, too: its numbers are reported.
+        It gets a round where it leaves no gap, too: the numbers of the one that leads are reported.
         """
         settings = self.settings
-        for number in range(settings.max_rounds):
-            exact_numbers = leads and number == 0
-            if not here.is_simulated or not (exact_numbers or self.leaves_gap(here)):
-                break
-            if here.score < best_score - settings.hopeless_deficit:
+        if not here.is_simulated:
+            here = self.refine(here, settings.simulations_per_round)
+        for number in range(settings.max_rounds if here.is_simulated else 0):
+            if number > 0 and not self.leaves_gap(here):
                 break
             exact = relinearize(self.regressors, here, self.pool)
             further = self.refine(exact, settings.simulations_per_round)
             gain = further.score - here.score
             here = further
-            if gain < settings.min_round_gain:
+            hopeless = here.score + gain < best_score - settings.hopeless_deficit
+            if gain < settings.min_round_gain or hopeless:
                 break
         return here
 

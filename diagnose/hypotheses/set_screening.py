@@ -26,6 +26,7 @@ from diagnose.hypotheses.refinement import (
     RefinementSettings,
     predicted_score,
     refine,
+    relinearize,
 )
 from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
@@ -121,46 +122,47 @@ def refine_sets(
             continue
         starts.setdefault(each.names, {}).setdefault(each.from_null, each)
 
-    def refined(start: Hypothesis) -> Hypothesis:
-        return refine(regressors, start, settings.max_simulations, pool, refinement)
-
     def better_start(known: Hypothesis) -> Hypothesis:
-        others = list(starts[frozenset(known.names)].values())[1:]
-        return max(
-            [known, *(refined(other.build()) for other in others)], key=lambda each: each.score
-        )
+        others = [other.build() for other in list(starts[frozenset(known.names)].values())[1:]]
+        again = race(regressors, others, pool, settings, refinement)
+        return max([known, *again], key=lambda each: each.score)
 
     firsts = [next(iter(kinds.values())) for kinds in starts.values()]
     found: list[Hypothesis] = []
     for turn in range(settings.max_rounds):
         first = turn * settings.sets_per_round
         begun = [each.build() for each in firsts[first : first + settings.sets_per_round]]
-        found += _race(regressors, begun, pool, settings, refinement)
+        found += race(regressors, begun, pool, settings, refinement)
         found.sort(key=lambda each: -each.score)
         if not found or _worst_miss(regressors, found[0]) <= settings.far_from_floor:
             break
     leading, rest = found[: settings.both_starts], found[settings.both_starts :]
-    return [*pool.map_outer(better_start, leading), *rest]
+    return [*map(better_start, leading), *rest]
 
 
-def _race(
+def race(
     regressors: Regressors,
     starts: Sequence[Hypothesis],
     pool: RunPool,
     settings: SetScreeningSettings,
     refinement: RefinementSettings,
 ) -> list[Hypothesis]:
-    """Refine the starts; only the leading ones get more than one simulation."""
+    """Refine the starts; only the leading ones get more than one simulation.
 
-    def refined(count: int):
-        return lambda each: refine(regressors, each, count, pool, refinement)
+    These get derivatives by the simulator first: an effect far from its null has others than there.
+    """
 
-    if len(starts) <= settings.max_continued:
-        return pool.map_outer(refined(settings.max_simulations), starts)
-    first = pool.map_outer(refined(1), starts)
-    first.sort(key=lambda each: -predicted_score(regressors, each, pool))
-    leading, rest = first[: settings.max_continued], first[settings.max_continued :]
-    return [*pool.map_outer(refined(settings.max_simulations - 1), leading), *rest]
+    def first(start: Hypothesis) -> Hypothesis:
+        return refine(regressors, start, 1, pool, refinement)
+
+    def further(here: Hypothesis) -> Hypothesis:
+        exact = relinearize(regressors, here, pool)
+        return refine(regressors, exact, settings.max_simulations - 1, pool, refinement)
+
+    begun = [each for each in pool.map_outer(first, starts) if each.is_simulated]
+    begun.sort(key=lambda each: -predicted_score(regressors, each, pool))
+    leading, rest = begun[: settings.max_continued], begun[settings.max_continued :]
+    return [*pool.map_outer(further, leading), *rest]
 
 
 def without_effect(whole: Hypothesis, index: int) -> Hypothesis:
@@ -300,15 +302,16 @@ def _with_any(
     for leading in best:
         order = []
         for name, (variant, fit) in leading.items():
-            build = partial(_join_from_null, regressors, first, variant, fit)
+            build = partial(joined_from_null, regressors, first, variant, fit)
             order.append(SetCandidate(frozenset((*first.names, name)), True, fit.score, build))
         found.append(order)
     return found
 
 
-def _join_from_null(
+def joined_from_null(
     regressors: Regressors, first: Hypothesis, variant: ShapeVariant, fit: LinearFit
 ) -> Hypothesis:
+    """A hypothesis with another effect from its null, as a linear fit of both proposes."""
     count = len(first.coordinates)
     own = replace(fit, coefficients=fit.coefficients[count:])
     added = linear_start(regressors, [variant], own)

@@ -36,6 +36,10 @@ from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, shapes, strengths
 from drftjax.simulation.trial import Trial
 
+# Each of these makes every simulation longer by a fifth and more, at its null, too: powers and arcs
+# of every plate. They stay out of programs with many effects.
+SLOW_EFFECTS = ("rate_hardening", "depth_power", "cohesion", "height_decrease_arc")
+
 
 @dataclass(frozen=True)
 class ShapeVariant:
@@ -126,6 +130,12 @@ class Regressors:
         )
         parts = [[part[:, 1:-1] for part in of] for of in together]
         return cls(dataset, log_zeta, variants, columns, residual, splits, parts, gram, settings)
+
+    @cached_property
+    def common_model(self) -> AugmentedModel:
+        """Model with all effects that may be in one program, by which others are differentiated."""
+        effects = dict.fromkeys(each.effect for each in self.variants)
+        return AugmentedModel(tuple(e for e in effects if e.about.name not in SLOW_EFFECTS))
 
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:

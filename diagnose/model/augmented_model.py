@@ -205,8 +205,55 @@ def predict(
     return np.asarray(found)[_rows_of(channels)]
 
 
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """What is compiled to differentiate a model, and along what.
+
+    Attributes:
+        program: The model that is compiled.
+        held: Its numbers that no fit changes by effect.
+        start: Its coordinates where no effect acts, shape (its free numbers,).
+        mix: Its coordinates as a linear map of the model's, shape (its free numbers, columns);
+            columns past the model's free numbers are zero.
+        free: Number of the model's free numbers.
+    """
+
+    program: AugmentedModel
+    held: tuple[Held, ...]
+    start: np.ndarray
+    mix: np.ndarray
+    free: int
+
+    @property
+    def key(self) -> tuple[AugmentedModel, int]:
+        """What tells one compiled program from another."""
+        return self.program, self.mix.shape[1]
+
+
+def directions_within(model: AugmentedModel, common: AugmentedModel) -> Directions:
+    """Differentiate a model by the program of a larger one, if that has all of its effects.
+
+    That program is compiled once for all of them.
+
+    Args:
+        model: The model.
+        common: Model with many effects; those that the other lacks stay at their null.
+    """
+    if not (model.shapes_are_free and set(model.effects) <= set(common.effects)):
+        program, held, mix = model.program
+        return Directions(program, held, np.zeros(len(mix)), mix, len(model.free))
+    places = {(common.effects[f.index], f.field): row for row, f in enumerate(common.free)}
+    rows = [places[model.effects[f.index], f.field] for f in model.free]
+    # Each number of columns is a program of its own. With that of zeta, eight fill a vector.
+    columns = next(count for count in (3, 7, 15, len(common.free)) if count >= len(rows))
+    start, mix = common.null(), np.zeros((len(common.free), columns))
+    start[rows] = 0
+    mix[rows, np.arange(len(rows))] = 1
+    return Directions(common, ({},) * len(common.effects), start, mix, len(rows))
+
+
 def predict_with_jacobian(
-    model: AugmentedModel,
+    directions: Directions,
     channels: tuple[str, ...],
     trial: Trial,
     observed: PaddedObservations,
@@ -216,23 +263,34 @@ def predict_with_jacobian(
     """Simulate one run with effects, and differentiate it in forward mode.
 
     Args:
-        model: Effects added (static).
+        directions: Of the model.
         channels: Which channels.
         trial, observed: The run, padded like the others of its dataset.
         log_zeta: Logarithm of its zeta over its set-up's [-].
-        coordinates: Free numbers of the effects, shape (free,).
+        coordinates: Free numbers of the model's effects, shape (free,).
 
     Returns:
         Simulated channels [m, N, N m] in whole steps of the trial, shape (channels, samples), and
         their derivatives by (log zeta, coordinates), shape (channels, samples, 1 + free).
     """
-    program, held, mix = model.program
-    at = jnp.asarray(mix @ coordinates, float)
+    mix, free = directions.mix, directions.free
+    at = directions.start + mix[:, :free] @ coordinates
+    along = np.zeros((1 + mix.shape[1], 1 + len(at)))
+    along[0, 0] = 1
+    along[1:, 1:] = mix.T
     seen = _of_all_channels(observed, channels)
-    found = _predict_with_jacobian(program, held, CHANNELS, trial, seen, log_zeta, at)
-    value, slope = (np.asarray(each)[_rows_of(channels)] for each in found)
-    by_zeta, by_rest = np.split(slope, [1], axis=-1)
-    return value, np.concatenate([by_zeta, by_rest @ mix], axis=-1)
+    value, slope = _predict_with_jacobian(
+        directions.program,
+        directions.held,
+        CHANNELS,
+        trial,
+        seen,
+        log_zeta,
+        jnp.asarray(at, float),
+        jnp.asarray(along, float),
+    )
+    rows = _rows_of(channels)
+    return np.asarray(value)[rows], np.asarray(slope)[rows][..., : 1 + free]
 
 
 @eqx.filter_jit
@@ -244,14 +302,14 @@ def _predict_with_jacobian(
     observed: PaddedObservations,
     log_zeta: Float[Array, ""],
     coordinates: Float[Array, " free"],
-) -> tuple[Float[Array, "channels samples"], Float[Array, "channels samples all"]]:
+    along: Float[Array, "columns all"],
+) -> tuple[Float[Array, "channels samples"], Float[Array, "channels samples columns"]]:
     # A slope is as good in longer steps.
     trial = eqx.tree_at(lambda t: t.parts, trial, jnp.ones_like(trial.parts))
 
-    def values(both: Array) -> tuple[Array, Array]:
-        found = _simulate(model, held, channels, trial, observed, both[0], both[1:])
-        return found, found
+    def values(both: Array) -> Array:
+        return _simulate(model, held, channels, trial, observed, both[0], both[1:])
 
     both = jnp.concatenate([log_zeta[None], coordinates])
-    slope, value = jax.jacfwd(values, has_aux=True)(both)
-    return value, slope
+    pushed = jax.vmap(lambda each: jax.jvp(values, (both,), (each,)), out_axes=(None, -1))
+    return pushed(along)
