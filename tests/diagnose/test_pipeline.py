@@ -58,7 +58,7 @@ SURE = 0.9
 
 # A screening whose hypotheses are asked for, not their numbers.
 FEW_STEPS = ScreeningSettings(
-    first_simulations=1, max_relinearized=1, max_rounds=1, simulations_per_round=1, max_effects=2
+    first_simulations=1, max_continued=1, max_rounds=1, simulations_per_round=1, max_effects=2
 )
 CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
 

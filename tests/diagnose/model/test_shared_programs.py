@@ -11,6 +11,7 @@ import pytest
 from diagnose.dataset import RigDataset, with_zeta
 from diagnose.model.augmented_model import (
     AugmentedModel,
+    directions_within,
     predict,
     predict_with_jacobian,
     with_effects,
@@ -24,7 +25,10 @@ from drftjax.effects.correction import (
     fields,
     with_values,
 )
-from drftjax.effects.sensor import TravelGain
+from drftjax.effects.drive import Backlash
+from drftjax.effects.rig import Drawbar
+from drftjax.effects.sensor import MeasurementFilter, TravelGain
+from drftjax.effects.terrain import Loosening
 from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.simulation.trial import Trial
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
@@ -125,7 +129,7 @@ def test_the_derivative_is_by_the_effects_own_coordinates():
     model = AugmentedModel((TravelGain, kind))
     at = np.array([*(0.3 for _ in range(len(model.free) - 1)), 0.5])
     of = dataset().channels, dataset().trials[0], dataset().observations[0], as_real(0.01)
-    value, slope = predict_with_jacobian(model, *of, at)
+    value, slope = predict_with_jacobian(directions_within(model, AugmentedModel()), *of, at)
     assert slope.shape == (*value.shape, 1 + len(at))
     trial = with_zeta(dataset().trials[0], 0.01)
     observed = dataset().observations[0]
@@ -143,3 +147,27 @@ def test_any_other_effect_is_its_own_program():
     assert program.effect is TravelGain
     assert not program.held
     assert np.array_equal(program.mix, np.eye(len(program.mix)))
+
+
+def test_a_program_of_many_effects_differentiates_a_model_of_few_by_its_own_coordinates():
+    few = AugmentedModel((MeasurementFilter, TravelGain))
+    many = AugmentedModel((Drawbar, TravelGain, Loosening, MeasurementFilter))
+    of = dataset().channels, dataset().trials[0], dataset().observations[0], as_real(0.01)
+    at = few.null() + np.linspace(0.3, 0.5, len(few.free))
+    within, alone = directions_within(few, many), directions_within(few, AugmentedModel())
+    assert within.program is many
+    assert alone.program == few
+    value, slope = predict_with_jacobian(within, *of, at)
+    expected_value, expected = predict_with_jacobian(alone, *of, at)
+    assert slope.shape == expected.shape == (*value.shape, 1 + len(few.free))
+    # Both readings are linear, and act in another order: filter and gain of x may be exchanged.
+    assert np.abs(value - expected_value).max() < ROUNDING
+    assert np.abs(slope - expected).max() < ROUNDING
+    assert np.abs(slope).max(axis=(0, 1)).min() > 1e-5
+
+
+def test_models_of_as_many_numbers_share_a_program():
+    many = AugmentedModel((Drawbar, TravelGain, Loosening, MeasurementFilter))
+    one, other = (directions_within(AugmentedModel((e,)), many) for e in (Drawbar, TravelGain))
+    assert one.key == other.key
+    assert directions_within(AugmentedModel((Backlash,)), many).key != one.key

@@ -1,0 +1,57 @@
+"""Look-alikes of a set's effects: found by what they change, and tried in the effects' places."""
+
+import pytest
+
+from diagnose.dataset import match_initial_zeta
+from diagnose.hypotheses.exchange import exchanged_sets, look_alikes
+from diagnose.hypotheses.hypothesis import linear_start
+from diagnose.hypotheses.refinement import refine, relinearize
+from diagnose.linear.linearized_runs import linearize_runs
+from diagnose.linear.regressors import Regressors
+from drftjax.effects.catalogue import effect_class
+from tests.helpers.rig_datasets import dataset_with
+
+# On a wheel that only goes forward a pull and friction are one, and a lag of the drive is nearly
+# one of the instruments; a rise of the ground is none of these.
+CANDIDATES = ("horizontal_coulomb", "speed_lag", "drawbar", "measurement_filter", "surface_slope")
+TRUTH = (
+    {"name": "horizontal_coulomb", "force": 6.0},
+    {"name": "speed_lag", "lag": 0.15},
+)
+
+
+@pytest.fixture(scope="module")
+def regressors(pool) -> Regressors:
+    dataset = dataset_with(*TRUTH)
+    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
+    return Regressors.of(dataset, linearized, [*map(effect_class, CANDIDATES)], pool)
+
+
+@pytest.fixture(scope="module")
+def wrong(regressors, pool):
+    """The pair with each effect's look-alike in its place."""
+    of = {each.effect.about.name: each for each in regressors.variants}
+    start = linear_start(regressors, [of["drawbar"], of["measurement_filter"]])
+    return refine(
+        regressors, relinearize(regressors, refine(regressors, start, 2, pool), pool), 3, pool
+    )
+
+
+def test_friction_is_the_look_alike_of_a_pull(regressors, wrong, pool):
+    part = [each[:, :, 1] * wrong.coordinates[0] for each in wrong.columns]
+    alike = look_alikes(regressors, wrong, part, pool)
+    assert alike[0] == "horizontal_coulomb"
+    assert "surface_slope" not in alike
+
+
+def test_look_alikes_lead_to_the_true_pair(regressors, wrong, pool):
+    found = exchanged_sets(regressors, wrong, pool)
+    assert all(len(each.names) == 2 and each.proposed_step is not None for each in found)
+    assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
+    lag = next(each for each in found if each.names == ("drawbar", "speed_lag"))
+    moved = refine(regressors, lag, 3, pool)
+    exact = refine(regressors, relinearize(regressors, moved, pool), 3, pool)
+    assert exact.score > wrong.score
+    assert exact.model.free[1].field == "lag"
+    # A pull stands for friction, which three short runs hardly tell apart: a tenth.
+    assert exact.model.free[1].value(exact.coordinates[1]) == pytest.approx(0.15, rel=0.1)
