@@ -257,8 +257,9 @@ class _Screening:
         """
         settings = self.settings
         for _ in range(settings.max_exchanges):
-            best = max((each[0] for each in by_size[1:] if each), key=lambda each: each.score)
-            if not self.leaves_gap(best):
+            leading = [several[0] for several in by_size[1:] if several]
+            best = max(leading, key=lambda each: each.score, default=None)
+            if best is None or not self.leaves_gap(best):
                 break
             report(f"look-alikes in sets of {len(best.names)} effects")
             starts = exchanged_sets(self.regressors, best, self.pool, settings.exchange)
