@@ -207,7 +207,7 @@ def predict(
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """What is compiled to differentiate a model, and along what.
+    """The program that is compiled to differentiate a model, and the directions along which.
 
     Attributes:
         program: The model that is compiled.
@@ -226,7 +226,7 @@ class Directions:
 
     @property
     def key(self) -> tuple[AugmentedModel, int]:
-        """What tells one compiled program from another."""
+        """Model and number of columns: they tell one compiled program from another."""
         return self.program, self.mix.shape[1]
 
 

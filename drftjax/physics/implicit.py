@@ -41,7 +41,7 @@ class AbstractBalance(eqx.Module):
     @property
     @abc.abstractmethod
     def force_count(self) -> int:
-        """How many forces `of_sums` returns beside the residual."""
+        """Number of forces that `of_sums` returns beside the residual."""
 
     @abc.abstractmethod
     def by_plate(self, velocity: Pair) -> tuple[Float[Array, " plates"], ...]:
