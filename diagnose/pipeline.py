@@ -14,7 +14,11 @@ from diagnose.checks.outlier_runs import (
 from diagnose.dataset import RigDataset, without_step_errors
 from diagnose.gap.budget import ChannelBudget, gap_budget
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
-from diagnose.gap.discretization_error import discretization_errors
+from diagnose.gap.discretization_error import (
+    beside_plates,
+    discretization_errors,
+    plate_changes,
+)
 from diagnose.gap.gap import gaps
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.one_zeta import one_zeta_gaps, zeta_shares
@@ -283,13 +287,21 @@ class _Diagnosing:
     ) -> dict[tuple[str, ...], float]:
         """Weights of the reference model, the leading hypotheses and unknown."""
         regressors, none = found.regressors, found.none
-        scored = [_scored(none, none.fit.mean_square, none.fit.zeta_variance)]
+        discretization = self.settings.discretization
+        changes = plate_changes(self.dataset, none.log_zeta, self.pool, discretization)
+
+        def power(residual: list[np.ndarray]) -> np.ndarray:
+            left = beside_plates(residual, changes)
+            return regressors.block_mean_squares(left, self.pool)[0]
+
+        of_none = power(none.residual)
+        scored = [_scored(none, of_none, of_none, none.fit.zeta_variance)]
         for each in leading:
             predicted = held_out[each.names]
-            power, _ = regressors.block_mean_squares(predicted.residual, self.pool)
             zetas = predicted.log_zeta + regressors.log_reference_zeta
             spread = float(np.var(zetas, ddof=1)) if len(zetas) > 1 else 0.0
-            scored.append(_scored(each, power, spread))
+            fitted = power(each.residual) if each.is_simulated else each.fit.mean_square
+            scored.append(_scored(each, power(predicted.residual), fitted, spread))
         matrices = regressors.gram_matrices
         residuals = [each.residual for each in (none, *leading)]
         return weights(
@@ -451,14 +463,16 @@ class _Diagnosing:
 
 
 def _scored(
-    each: Hypothesis, held_out_power: np.ndarray, held_out_zeta_variance: float
+    each: Hypothesis,
+    held_out_power: np.ndarray,
+    fitted_power: np.ndarray,
+    held_out_zeta_variance: float,
 ) -> ScoredHypothesis:
-    fit = each.fit
     return ScoredHypothesis(
         each.names,
         held_out_power,
-        fit.mean_square,
-        fit.zeta_variance,
+        fitted_power,
+        each.fit.zeta_variance,
         len(each.coordinates),
         held_out_zeta_variance,
     )

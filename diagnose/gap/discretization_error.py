@@ -5,6 +5,7 @@ the width, a simulated wheel moves otherwise by some hundredths or tenths of a m
 high speed. A gap of that size is no property of the rig.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset
 from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.model.linearized_run import FORCES
 from diagnose.run_pool import RunPool
 from drftjax.recorded.prepared_run import PreparedRun
 
@@ -34,6 +36,9 @@ class DiscretizationSettings:
 
 DEFAULT_DISCRETIZATION = DiscretizationSettings()
 
+# Of the change with plates half as long: on to none at all, by an error of first order.
+MOST_PLATE_SHARE = 2.0
+
 
 def discretization_errors(
     dataset: RigDataset,
@@ -52,6 +57,62 @@ def discretization_errors(
     Returns:
         By channel; runs that they throw off the sand are left out.
     """
+    changes = [c for c in _changes(dataset, log_zeta, pool, settings) if np.isfinite(c).all()]
+    together = np.concatenate(changes or [np.zeros((len(dataset.channels), 1))], axis=1)
+    return dict(zip(dataset.channels, np.sqrt(np.mean(together**2, axis=1)).tolist(), strict=True))
+
+
+def plate_changes(
+    dataset: RigDataset,
+    log_zeta: np.ndarray,
+    pool: RunPool,
+    settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
+) -> list[np.ndarray]:
+    """By run, change of the forces with finer plates, shape (channels, samples); zero of x and z.
+
+    A plate begins to bear at once, so the longer plates are, the later comes the ripple of the
+    forces: by some milliseconds, as a delay of the instruments would have it. x and z follow the
+    forces too slowly to show it.
+
+    Args:
+        dataset: The runs.
+        log_zeta: Each run's log zeta over its set-up's [-], shape (runs,).
+        pool: Threads.
+        settings: Numbers of the comparison.
+    """
+    rows = [name in FORCES for name in dataset.channels]
+    if not any(rows):
+        return [np.zeros_like(dataset.recording(run)) for run in dataset.run_numbers]
+    found = _changes(dataset, log_zeta, pool, settings)
+    return [np.where(np.isfinite(each), each, 0.0) * np.array(rows)[:, None] for each in found]
+
+
+def beside_plates(
+    residual: Sequence[np.ndarray], changes: Sequence[np.ndarray], most: float = MOST_PLATE_SHARE
+) -> list[np.ndarray]:
+    """Residuals less what the length of the plates makes of the forces, whatever it should be.
+
+    One share of the changes is taken for all runs: none for a rig with plates as long, 1 for half
+    as long, and about 2 for sand, which has none.
+
+    Args:
+        residual: By run, simulated minus recorded, shape (channels, samples).
+        changes: By `plate_changes`.
+        most: Largest share [-].
+    """
+    power = sum(float((each**2).sum()) for each in changes)
+    if power == 0:
+        return list(residual)
+    pairs = list(zip(residual, changes, strict=True))
+    common = sum(float(np.nansum(left * change)) for left, change in pairs)
+    share = float(np.clip(-common / power, 0.0, most))
+    return [left + share * change for left, change in pairs]
+
+
+def _changes(
+    dataset: RigDataset, log_zeta: np.ndarray, pool: RunPool, settings: DiscretizationSettings
+) -> list[np.ndarray]:
+    """By run, change of the channels compared with finer plates, shape (channels, samples)."""
     finer = [with_finer_plates(each, settings) for each in dataset.runs]
     fine = RigDataset.of(finer, dataset.settings)
     model, nothing = AugmentedModel(), np.zeros(0)
@@ -68,9 +129,7 @@ def discretization_errors(
         share = (coarse - here)[z].mean() / (there - here)[z].mean()
         return here + share * (there - here) - coarse
 
-    kept = [each for each in dataset.map(pool, change) if np.isfinite(each).all()]
-    changes = np.concatenate(kept or [np.zeros((len(dataset.channels), 1))], axis=1)
-    return dict(zip(dataset.channels, np.sqrt(np.mean(changes**2, axis=1)).tolist(), strict=True))
+    return dataset.map(pool, change)
 
 
 def zeta_response(
