@@ -245,7 +245,7 @@ def directions_within(model: AugmentedModel, common: AugmentedModel) -> Directio
     places = {(common.effects[f.index], f.field): row for row, f in enumerate(common.free)}
     rows = [places[model.effects[f.index], f.field] for f in model.free]
     # Each number of columns is a program of its own. With that of zeta, eight fill a vector.
-    columns = next(count for count in (3, 7, 15, len(common.free)) if count >= len(rows))
+    columns = next(count for count in (7, 15, len(common.free)) if count >= len(rows))
     start, mix = common.null(), np.zeros((len(common.free), columns))
     start[rows] = 0
     mix[rows, np.arange(len(rows))] = 1
