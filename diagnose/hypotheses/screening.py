@@ -248,7 +248,7 @@ class _Screening:
                 self.take_out(by_size)
 
     def exchange_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
-        """Try look-alikes in the places of the best set's effects while that pays.
+        """Try look-alikes in the places of the best set's effects, again while that pays.
 
         Args:
             by_size: Singles, pairs and larger sets, best first; those that begin with a better set
@@ -256,10 +256,11 @@ class _Screening:
             report: Called with what is done next.
         """
         settings = self.settings
-        for _ in range(settings.max_exchanges):
+        for number in range(settings.max_exchanges):
             leading = [several[0] for several in by_size[1:] if several]
             best = max(leading, key=lambda each: each.score, default=None)
-            if best is None or not self.leaves_gap(best):
+            # Once where it leaves no gap, too: what does as well belongs in a group with it.
+            if best is None or (number > 0 and not self.leaves_gap(best)):
                 break
             report(f"look-alikes in sets of {len(best.names)} effects")
             starts = exchanged_sets(self.regressors, best, self.pool, settings.exchange)
