@@ -29,7 +29,7 @@ class ExchangeSettings:
     """
 
     min_alike: float = 0.5
-    max_alike: int = 3
+    max_alike: int = 5
 
 
 DEFAULT_EXCHANGE = ExchangeSettings()
