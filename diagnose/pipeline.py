@@ -16,8 +16,8 @@ from diagnose.gap.budget import ChannelBudget, gap_budget
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import (
     beside_plates,
+    changes_with_finer_plates,
     discretization_errors,
-    plate_changes,
 )
 from diagnose.gap.gap import gaps
 from diagnose.gap.noise_floor import noise_floors
@@ -162,8 +162,11 @@ class _Diagnosing:
         """All steps."""
         dataset, settings = self.dataset, self.settings
         found = screen_effects(dataset, effects, self.pool, self.report, settings.screening)
-        weighed = self.weigh(found)
-        reference = self.measure_reference(found)
+        finer = changes_with_finer_plates(
+            dataset, found.none.log_zeta, self.pool, settings.discretization
+        )
+        weighed = self.weigh(found, finer)
+        reference = self.measure_reference(found, finer)
         gap = self.measure_gap(weighed, reference)
         for _ in range(settings.verdict.max_retries):
             if len(weighed.verdict) < 2 or gap.selected.worsens_no_channel(settings.selection):
@@ -236,8 +239,11 @@ class _Diagnosing:
             zeta_shares=zeta_shares(found.regressors),
         )
 
-    def weigh(self, found: ScreeningResult) -> _Weighed:
-        """Predict held-out runs by the leading hypotheses, and weigh them."""
+    def weigh(self, found: ScreeningResult, finer: Sequence[np.ndarray]) -> _Weighed:
+        """Predict held-out runs by the leading hypotheses, and weigh them.
+
+        `finer` is by run what finer plates change, shape (channels, samples).
+        """
         self.report("predicting the held-out runs")
         limits = self.settings.held_out
         leading = [
@@ -255,7 +261,7 @@ class _Diagnosing:
             if self.dataset.all_finite(each.residual)
         }
         leading = [each for each in leading if each.names in held_out]
-        share = self.weights(found, leading, held_out)
+        share = self.weights(found, leading, held_out, finer)
         verdict, groups = decide(share, self.settings.verdict)
         chosen = hypothesis_behind(found, leading, share, verdict)
         return _Weighed(found, leading, held_out, share, verdict, groups, chosen)
@@ -284,14 +290,13 @@ class _Diagnosing:
         found: ScreeningResult,
         leading: Sequence[Hypothesis],
         held_out: Mapping[tuple[str, ...], HeldOutPrediction],
+        finer: Sequence[np.ndarray],
     ) -> dict[tuple[str, ...], float]:
         """Weights of the reference model, the leading hypotheses and unknown."""
         regressors, none = found.regressors, found.none
-        discretization = self.settings.discretization
-        changes = plate_changes(self.dataset, none.log_zeta, self.pool, discretization)
 
         def power(residual: list[np.ndarray]) -> np.ndarray:
-            left = beside_plates(residual, changes)
+            left = beside_plates(self.dataset, residual, finer, self.settings.discretization)
             return regressors.block_mean_squares(left, self.pool)[0]
 
         of_none = power(none.residual)
@@ -315,15 +320,19 @@ class _Diagnosing:
             regressors.settings,
         )
 
-    def measure_reference(self, found: ScreeningResult) -> _ReferenceRuns:
-        """The runs by the reference model, which every gap is measured against."""
+    def measure_reference(
+        self, found: ScreeningResult, finer: Sequence[np.ndarray]
+    ) -> _ReferenceRuns:
+        """The runs by the reference model, which every gap is measured against.
+
+        `finer` as for `weigh`.
+        """
         regressors, none, pool = found.regressors, found.none, self.pool
         plain = predict_held_out(regressors, none, pool)
-        settings = self.settings.discretization
         return _ReferenceRuns(
             plain,
             at_mean_sinkage(regressors, plain, pool),
-            discretization_errors(self.dataset, none.log_zeta, pool, settings),
+            discretization_errors(self.dataset, finer),
         )
 
     def measure_gap(self, weighed: _Weighed, reference: _ReferenceRuns) -> _MeasuredGap:

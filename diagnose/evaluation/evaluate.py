@@ -12,7 +12,11 @@ from diagnose.checks.outlier_runs import (
 )
 from diagnose.dataset import RigDataset, without_step_errors
 from diagnose.evaluation.result import Evaluation
-from diagnose.gap.discretization_error import discretization_errors, zeta_response
+from diagnose.gap.discretization_error import (
+    changes_with_finer_plates,
+    discretization_errors,
+    zeta_response,
+)
 from diagnose.gap.gap import DEFAULT_GAP, Gap, GapSettings, gaps
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.selected_effects import as_model
@@ -60,7 +64,8 @@ def evaluate_model(
     with RunPool() as pool:
         dataset = without_step_errors(dataset, pool)
         dataset, before, after, lost = _match_covered(dataset, effects, pool)
-        own = discretization_errors(dataset, np.array([each.log_zeta for each in before]), pool)
+        log_zeta = np.array([each.log_zeta for each in before])
+        own = discretization_errors(dataset, changes_with_finer_plates(dataset, log_zeta, pool))
     residuals = residuals_of(before), residuals_of(after)
 
     def response(run: int) -> np.ndarray:

@@ -28,25 +28,25 @@ class DiscretizationSettings:
         log_zeta_step: Difference between two log zetas [-], between which and beyond the response
             is taken as linear: sinkage bends little over so much, and changes by far more than the
             plates change it.
+        max_share: Share of the change of the forces that is held against no model, at most [-]: on
+            from plates half as long to none at all, by an error of first order.
     """
 
     refinement: int = 2
     log_zeta_step: float = 0.01
+    max_share: float = 2.0
 
 
 DEFAULT_DISCRETIZATION = DiscretizationSettings()
 
-# Of the change with plates half as long: on to none at all, by an error of first order.
-MOST_PLATE_SHARE = 2.0
 
-
-def discretization_errors(
+def changes_with_finer_plates(
     dataset: RigDataset,
     log_zeta: np.ndarray,
     pool: RunPool,
     settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
-) -> dict[str, float]:
-    """RMS change of each channel with finer numerics, at the same mean sinkage [m, N, N m].
+) -> list[np.ndarray]:
+    """By run, change of each channel with finer numerics, at the same mean sinkage [m, N, N m].
 
     Args:
         dataset: The runs.
@@ -55,64 +55,8 @@ def discretization_errors(
         settings: Numbers of the comparison.
 
     Returns:
-        By channel; runs that they throw off the sand are left out.
+        Each of shape (channels, samples); not finite where they throw a run off the sand.
     """
-    changes = [c for c in _changes(dataset, log_zeta, pool, settings) if np.isfinite(c).all()]
-    together = np.concatenate(changes or [np.zeros((len(dataset.channels), 1))], axis=1)
-    return dict(zip(dataset.channels, np.sqrt(np.mean(together**2, axis=1)).tolist(), strict=True))
-
-
-def plate_changes(
-    dataset: RigDataset,
-    log_zeta: np.ndarray,
-    pool: RunPool,
-    settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
-) -> list[np.ndarray]:
-    """By run, change of the forces with finer plates, shape (channels, samples); zero of x and z.
-
-    A plate begins to bear at once, so the longer plates are, the later comes the ripple of the
-    forces: by some milliseconds, as a delay of the instruments would have it. x and z follow the
-    forces too slowly to show it.
-
-    Args:
-        dataset: The runs.
-        log_zeta: Each run's log zeta over its set-up's [-], shape (runs,).
-        pool: Threads.
-        settings: Numbers of the comparison.
-    """
-    rows = [name in FORCES for name in dataset.channels]
-    if not any(rows):
-        return [np.zeros_like(dataset.recording(run)) for run in dataset.run_numbers]
-    found = _changes(dataset, log_zeta, pool, settings)
-    return [np.where(np.isfinite(each), each, 0.0) * np.array(rows)[:, None] for each in found]
-
-
-def beside_plates(
-    residual: Sequence[np.ndarray], changes: Sequence[np.ndarray], most: float = MOST_PLATE_SHARE
-) -> list[np.ndarray]:
-    """Residuals less what the length of the plates makes of the forces, whatever it should be.
-
-    One share of the changes is taken for all runs: none for a rig with plates as long, 1 for half
-    as long, and about 2 for sand, which has none.
-
-    Args:
-        residual: By run, simulated minus recorded, shape (channels, samples).
-        changes: By `plate_changes`.
-        most: Largest share [-].
-    """
-    power = sum(float((each**2).sum()) for each in changes)
-    if power == 0:
-        return list(residual)
-    pairs = list(zip(residual, changes, strict=True))
-    common = sum(float(np.nansum(left * change)) for left, change in pairs)
-    share = float(np.clip(-common / power, 0.0, most))
-    return [left + share * change for left, change in pairs]
-
-
-def _changes(
-    dataset: RigDataset, log_zeta: np.ndarray, pool: RunPool, settings: DiscretizationSettings
-) -> list[np.ndarray]:
-    """By run, change of the channels compared with finer plates, shape (channels, samples)."""
     finer = [with_finer_plates(each, settings) for each in dataset.runs]
     fine = RigDataset.of(finer, dataset.settings)
     model, nothing = AugmentedModel(), np.zeros(0)
@@ -130,6 +74,49 @@ def _changes(
         return here + share * (there - here) - coarse
 
     return dataset.map(pool, change)
+
+
+def discretization_errors(dataset: RigDataset, changes: Sequence[np.ndarray]) -> dict[str, float]:
+    """RMS change of each channel with finer numerics, by channel [m, N, N m].
+
+    Args:
+        dataset: The runs.
+        changes: By `changes_with_finer_plates`; runs without finite ones are left out.
+    """
+    kept = [each for each in changes if np.isfinite(each).all()]
+    together = np.concatenate(kept or [np.zeros((len(dataset.channels), 1))], axis=1)
+    return dict(zip(dataset.channels, np.sqrt(np.mean(together**2, axis=1)).tolist(), strict=True))
+
+
+def beside_plates(
+    dataset: RigDataset,
+    residual: Sequence[np.ndarray],
+    changes: Sequence[np.ndarray],
+    settings: DiscretizationSettings = DEFAULT_DISCRETIZATION,
+) -> list[np.ndarray]:
+    """Residuals less what the length of the plates makes of forces and torque.
+
+    A plate begins to bear at once, so the longer plates are, the later comes the ripple of the
+    forces: by some milliseconds, as a delay of the instruments would have it. x and z follow the
+    forces too slowly to show it, and stay as they are. One share of the changes is taken for all
+    runs: none for a rig with plates as long, 1 for half as long, and about 2 for sand, which has
+    none.
+
+    Args:
+        dataset: The runs.
+        residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
+        changes: By `changes_with_finer_plates`.
+        settings: The largest share.
+    """
+    rows = np.array([name in FORCES for name in dataset.channels])[:, None]
+    known = [np.where(rows & np.isfinite(each), each, 0.0) for each in changes]
+    power = sum(float((each**2).sum()) for each in known)
+    if power == 0:
+        return list(residual)
+    pairs = list(zip(residual, known, strict=True))
+    common = sum(float(np.nansum(left * change)) for left, change in pairs)
+    share = float(np.clip(-common / power, 0.0, settings.max_share))
+    return [left + share * change for left, change in pairs]
 
 
 def zeta_response(

@@ -116,9 +116,7 @@ def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
         regressors: The runs.
     """
     found: dict[str, ZetaShare] = {}
-    matrices, settings = regressors.gram_matrices, regressors.settings
-    weight = settings.worth(matrices.blocks) / settings.model_errors(matrices.blocks) ** 2
-    weighed = np.einsum("b,rbij->rij", weight, matrices.gram)
+    weighed = regressors.gram_matrices.weighed(regressors.settings)
     for variant in regressors.variants:
         name = reported_name(variant.effect.about.name)
         share = _made_up(weighed, variant.columns)
@@ -128,7 +126,7 @@ def zeta_shares(regressors: Regressors) -> dict[str, ZetaShare]:
 
 
 def _made_up(gram: np.ndarray, columns: Sequence[int]) -> ZetaShare:
-    """The same of some columns, from the weighed gram matrix of each run."""
+    """The same of some columns, by the runs' weighed gram matrices, shape (runs, n, n)."""
     own = np.maximum(gram[:, 0, 0], 1e-300)
     power = shared = each = 0.0
     for column in columns:

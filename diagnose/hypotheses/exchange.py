@@ -12,7 +12,6 @@ import numpy as np
 from diagnose.hypotheses.hypothesis import Hypothesis, least_changes
 from diagnose.hypotheses.linear_ranking import best_variants
 from diagnose.hypotheses.set_screening import joined_from_null, without_effect
-from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
@@ -107,7 +106,7 @@ def look_alikes(
     """
     columns = [np.stack([best.by_zeta(run), own], axis=2) for run, own in enumerate(part)]
     products = regressors.gram_matrices_beside_all(columns, best.residual, best.log_zeta, pool)
-    gram = _beside_zeta(products.gram, products.blocks, regressors.settings)
+    gram = _beside_zeta(products.weighed(regressors.settings))
     shares: dict[str, float] = {}
     for variant in regressors.variants:
         name = variant.effect.about.name
@@ -119,10 +118,11 @@ def look_alikes(
     return sorted(alike, key=lambda name: -shares[name])[: settings.max_alike]
 
 
-def _beside_zeta(gram: np.ndarray, blocks, settings: LinearFitSettings) -> np.ndarray:
-    """Weighed products of all columns, less what each run's own zeta makes up for."""
-    weight = settings.worth(blocks) / settings.model_errors(blocks) ** 2
-    weighed = np.einsum("b,rbij->rij", weight, gram)
+def _beside_zeta(weighed: np.ndarray) -> np.ndarray:
+    """Products of all columns, less what each run's own zeta makes up for, shape (n, n).
+
+    `weighed` are the runs' weighed gram matrices, shape (runs, n, n).
+    """
     own = weighed[:, 0]
     power = np.maximum(own[:, 0], 1e-300)
     return (weighed - own[:, :, None] * own[:, None, :] / power[:, None, None]).sum(axis=0)

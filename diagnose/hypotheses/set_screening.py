@@ -150,16 +150,23 @@ def race(
     """Refine the starts; only the leading ones get more than one simulation.
 
     These get derivatives by the simulator first: an effect far from its null has others than there.
+
+    Args:
+        regressors: The runs.
+        starts: Hypotheses with a proposed step.
+        pool: Threads.
+        settings: Numbers of the choice.
+        refinement: Numbers of the refinement.
     """
 
     def first(start: Hypothesis) -> Hypothesis:
         return refine(regressors, start, 1, pool, refinement)
 
     def further(here: Hypothesis) -> Hypothesis:
-        exact = relinearize(regressors, here, pool)
+        exact = relinearize(regressors, here, pool) if here.is_simulated else here
         return refine(regressors, exact, settings.max_simulations - 1, pool, refinement)
 
-    begun = [each for each in pool.map_outer(first, starts) if each.is_simulated]
+    begun = pool.map_outer(first, starts)
     begun.sort(key=lambda each: -predicted_score(regressors, each, pool))
     leading, rest = begun[: settings.max_continued], begun[settings.max_continued :]
     return [*pool.map_outer(further, leading), *rest]
@@ -311,7 +318,14 @@ def _with_any(
 def joined_from_null(
     regressors: Regressors, first: Hypothesis, variant: ShapeVariant, fit: LinearFit
 ) -> Hypothesis:
-    """A hypothesis with another effect from its null, as a linear fit of both proposes."""
+    """A hypothesis with another effect from its null, as a linear fit of both proposes.
+
+    Args:
+        regressors: The runs.
+        first: The hypothesis.
+        variant: The effect.
+        fit: Of the hypothesis's coordinates, and of the effect's strengths behind them.
+    """
     count = len(first.coordinates)
     own = replace(fit, coefficients=fit.coefficients[count:])
     added = linear_start(regressors, [variant], own)

@@ -126,12 +126,17 @@ class GramMatrices:
             self.blocks, self.gram[runs], self.sample_count[runs], self.log_zeta[runs]
         )
 
-    def of_columns(self, columns: Sequence[int]) -> "GramMatrices":
-        """Those of some columns beside own log zeta and residual, by number."""
-        take = np.r_[0, 1 + np.asarray(columns, int), self.gram.shape[-1] - 1]
-        runs, blocks = (np.arange(size) for size in self.gram.shape[:2])
-        gram = self.gram[np.ix_(runs, blocks, take, take)]
-        return GramMatrices(self.blocks, gram, self.sample_count, self.log_zeta)
+    def weighed(self, settings: "LinearFitSettings") -> np.ndarray:
+        """Sum over the blocks, each in its model errors and by its worth.
+
+        Args:
+            settings: Worth and model error of each block.
+
+        Returns:
+            Shape (runs, 2 + columns, 2 + columns).
+        """
+        weight = settings.worth(self.blocks) / settings.model_errors(self.blocks) ** 2
+        return np.einsum("b,rbij->rij", weight, self.gram)
 
 
 @dataclass(frozen=True)
@@ -182,16 +187,13 @@ def fit_linear(
     """
     share = settings.linear_error if linear_error is None else linear_error
     taken = np.asarray(columns, int)[None]
-    one = np.zeros(taken.shape)
-    fit = FitRequest(
-        taken,
-        np.broadcast_to(np.inf if prior is None else prior, one.shape),
-        np.broadcast_to(0.0 if offset is None else offset, one.shape),
-        np.broadcast_to(-np.inf if lower is None else lower, one.shape),
-        np.array([share]),
-        np.array([inflation]),
-    )
-    return fit_each(matrices, fit, settings)[0]
+
+    def row(given: np.ndarray | None, otherwise: float) -> np.ndarray:
+        return np.broadcast_to(otherwise if given is None else given, taken.shape)
+
+    bounds = row(prior, np.inf), row(offset, 0.0), row(lower, -np.inf)
+    request = FitRequest(taken, *bounds, np.array([share]), np.array([inflation]))
+    return fit_each(matrices, request, settings)[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,6 +41,10 @@ from drftjax.simulation.trial import Trial
 SLOW_EFFECTS = ("rate_hardening", "depth_power", "cohesion", "height_decrease_arc")
 
 
+# By block: products of a run's columns with each other, and the number of statements.
+Products = tuple[list[np.ndarray], list[int]]
+
+
 @dataclass(frozen=True)
 class ShapeVariant:
     """An effect with its shapes at one point of their grid.
@@ -118,17 +122,11 @@ class Regressors:
         both = dataset.map(pool, of)
         columns, residual = [c for c, _ in both], [r for _, r in both]
         splits = [SlowFastSplit.of(dataset.time(run)) for run in dataset.run_numbers]
-        together = pool.map(
-            lambda run: _parts(dataset, splits[run], columns[run], residual[run]),
-            dataset.run_numbers,
+        together = dataset.map(
+            pool, lambda run: _parts(dataset, splits[run], columns[run], residual[run])
         )
-        gram = _gram_matrices(
-            dataset,
-            [[part.T @ part for part in of] for of in together],
-            [[len(part) for part in of] for of in together],
-            log_zeta,
-        )
-        parts = [[part[:, 1:-1] for part in of] for of in together]
+        gram = _gram_matrices(dataset, [_products(each) for each in together], log_zeta)
+        parts = [[part[:, 1:-1] for part in each] for each in together]
         return cls(dataset, log_zeta, variants, columns, residual, splits, parts, gram, settings)
 
     @cached_property
@@ -176,12 +174,10 @@ class Regressors:
         """
         dataset = self.dataset
 
-        def of(run: int) -> tuple[list[np.ndarray], list[int]]:
-            parts = _parts(dataset, self.splits[run], columns[run], residual[run])
-            return [part.T @ part for part in parts], [len(part) for part in parts]
+        def of(run: int) -> Products:
+            return _products(_parts(dataset, self.splits[run], columns[run], residual[run]))
 
-        grams, counts = zip(*dataset.map(pool, of), strict=True)
-        return _gram_matrices(dataset, grams, counts, log_zeta)
+        return _gram_matrices(dataset, dataset.map(pool, of), log_zeta)
 
     def gram_matrices_beside_all(
         self,
@@ -197,7 +193,7 @@ class Regressors:
         """
         dataset, known = self.dataset, self.gram_matrices
 
-        def of(run: int) -> tuple[list[np.ndarray], list[int]]:
+        def of(run: int) -> Products:
             given = _parts(dataset, self.splits[run], columns[run], residual[run])
             grams = []
             for block, (part, mine) in enumerate(zip(given, self.parts[run], strict=True)):
@@ -215,8 +211,7 @@ class Regressors:
                 )
             return grams, [len(part) for part in given]
 
-        grams, counts = zip(*dataset.map(pool, of), strict=True)
-        return _gram_matrices(dataset, grams, counts, log_zeta)
+        return _gram_matrices(dataset, dataset.map(pool, of), log_zeta)
 
     def block_mean_squares(
         self, residual: list[np.ndarray], pool: RunPool
@@ -259,13 +254,16 @@ def _parts(
     return found
 
 
+def _products(parts: Sequence[np.ndarray]) -> Products:
+    """Gram matrix and number of statements of each block's columns, shape (statements, n)."""
+    return [part.T @ part for part in parts], [len(part) for part in parts]
+
+
 def _gram_matrices(
-    dataset: RigDataset,
-    grams: Sequence[Sequence[np.ndarray]],
-    counts: Sequence[Sequence[int]],
-    log_zeta: np.ndarray,
+    dataset: RigDataset, products: Sequence[Products], log_zeta: np.ndarray
 ) -> GramMatrices:
-    """Gram matrices and numbers of statements, both by run and block."""
+    """Gram matrices from the products of each run, and its log zeta, shape (runs,)."""
+    grams, counts = zip(*products, strict=True)
     return GramMatrices(
         block_names(dataset.channels),
         np.array(grams),

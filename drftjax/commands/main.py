@@ -29,6 +29,7 @@ import drftjax
 from drftjax.commands.options import CommandGroup
 from drftjax.commands.printing import say
 from drftjax.common.errors import InputError
+from drftjax.common.jax_config import ALLOCATIONS_BETWEEN_COLLECTIONS
 
 GROUP = "drft.commands"
 
@@ -38,8 +39,6 @@ INTERRUPT_REPEAT_DELAY = 0.05
 inside which it would be lost once more."""
 
 INTERRUPTED = 128 + 2  # exit code by which shells report a program that Ctrl-C ended
-
-ALLOCATIONS_BETWEEN_COLLECTIONS = 100_000  # of cyclic garbage
 
 
 class PluginGroup(CommandGroup):
@@ -150,8 +149,6 @@ def root(
 def main() -> None:
     """Run `drft`; an error that the user can correct is one sentence on stderr and exit code 2."""
     sys.unraisablehook = _lost
-    # Imports and traces make objects by the hundred thousand, and almost all live on: to look
-    # through them after each 700 takes a sixth of a short command's time.
     gc.set_threshold(ALLOCATIONS_BETWEEN_COLLECTIONS)
     try:
         code = _run()

@@ -7,6 +7,10 @@ from typing import Literal
 
 from drftjax.common.errors import InputError
 
+# Of cyclic garbage. Imports and traces make objects by the hundred thousand, and almost all live
+# on: to look through them after each 700 takes a sixth of a short command's time.
+ALLOCATIONS_BETWEEN_COLLECTIONS = 100_000
+
 XLA_OPTIONS = {
     # A loop is compiled as one kernel, whatever its size.
     "xla_backend_extra_options": "xla_cpu_small_while_loop_byte_threshold=1000000000",

@@ -14,8 +14,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 
-from drftjax.commands.main import ALLOCATIONS_BETWEEN_COLLECTIONS
 from drftjax.common.errors import InputError, require_input_folder
+from drftjax.common.jax_config import ALLOCATIONS_BETWEEN_COLLECTIONS
 
 # Sets after which a process is replaced: the programs compiled for them take gigabytes.
 SETS_PER_PROCESS = 4

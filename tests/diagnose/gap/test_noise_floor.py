@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.gap.discretization_error import discretization_errors, with_finer_plates
+from diagnose.gap.discretization_error import (
+    changes_with_finer_plates,
+    discretization_errors,
+    with_finer_plates,
+)
 from diagnose.gap.gap import GapSettings, gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
@@ -35,7 +39,7 @@ def run():
 def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, pool):
     case = RigDataset.of([run])
     log_zeta = match_initial_zeta(case, pool)
-    own = discretization_errors(case, log_zeta, pool)
+    own = discretization_errors(case, changes_with_finer_plates(case, log_zeta, pool))
     values = run.observation.values.copy()
     values[:, case.counts(0)] = case.prediction(AugmentedModel(), 0, log_zeta[0], np.zeros(0))
     fine = with_finer_plates(

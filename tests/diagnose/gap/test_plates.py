@@ -1,10 +1,13 @@
 """Plates of a simulated wheel: what their length makes of the forces is held against no model."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset
-from diagnose.gap.discretization_error import beside_plates, plate_changes
+from diagnose.gap.discretization_error import beside_plates
 from diagnose.pipeline import diagnose
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.prepared_run import PreparedRun
@@ -15,6 +18,8 @@ CHANNELS = ("z", "fx", "fz", "torque")
 # An effect that gains nothing costs 1.5 for its number and is less likely than none by 0.5 to
 # begin with: 0.12 at most. As a delay the plates would have 0.28.
 BY_CHANCE = 0.12
+# What finer plates change in two runs, of which the second shows it three times as much.
+CHANGES = [size * np.stack([np.cos(np.arange(50.0)), np.sin(np.arange(50.0))]) for size in (1, 3)]
 
 
 def driven(plate_share: float, number: int, ratio: float) -> PreparedRun:
@@ -24,32 +29,29 @@ def driven(plate_share: float, number: int, ratio: float) -> PreparedRun:
     return coarse(f"run {number}", recorded(setup, number, channels=CHANNELS, force_noise=0.01))
 
 
-def of(residual: float, change: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Two runs whose residuals are shares of the changes, in one channel of two."""
-    wave = np.sin(np.arange(50.0))
-    changes = [np.stack([0 * wave, size * change * wave]) for size in (1.0, 3.0)]
-    return [residual * each for each in changes], changes
+def left_of(share: float, channels: tuple[str, ...]) -> list[np.ndarray]:
+    """Residuals beside plates, of two runs that are missed by a share of what plates change."""
+    bench: Any = SimpleNamespace(channels=channels)
+    return beside_plates(bench, [share * each for each in CHANGES], CHANGES)
 
 
-def test_one_share_of_the_changes_is_taken_off_all_runs():
-    missed, changes = of(-0.7, 2.0)
-    # Rounding of sums of fifty numbers.
-    assert max(np.abs(each).max() for each in beside_plates(missed, changes)) < 1e-12
+@pytest.mark.parametrize(("share", "left"), [(-0.7, 0.0), (0.4, 0.4), (-2.5, -0.5)])
+def test_one_share_of_what_plates_change_is_taken_off_the_forces_of_all_runs(share, left):
+    """No less than nothing, and no more than takes all plates away."""
+    for each, change in zip(left_of(share, ("z", "fx")), CHANGES, strict=True):
+        assert each[0] == pytest.approx(share * change[0])
+        # Rounding of sums of fifty numbers.
+        assert each[1] == pytest.approx(left * change[1], abs=1e-12)
 
 
-@pytest.mark.parametrize(("share", "left"), [(0.4, 0.4), (-2.5, -0.5)])
-def test_no_less_is_taken_off_than_nothing_and_no_more_than_all_plates(share, left):
-    missed, changes = of(share, 1.0)
-    for each, change in zip(beside_plates(missed, changes), changes, strict=True):
-        assert each == pytest.approx(left * change)
-
-
-def test_without_forces_nothing_is_taken_off(pool):
-    dataset = RigDataset.of([coarse("free", recorded(setup_of((TIME, OMEGA))))])
-    changes = plate_changes(dataset, np.zeros(1), pool)
-    assert not np.any(changes[0])
-    left = [np.ones_like(changes[0])]
-    assert np.array_equal(beside_plates(left, changes)[0], left[0])
+def test_nothing_is_taken_off_without_forces_nor_for_a_run_off_the_sand():
+    for each, change in zip(left_of(-0.7, ("x", "z")), CHANGES, strict=True):
+        assert np.array_equal(each, -0.7 * change)
+    lost = [CHANGES[0], np.full_like(CHANGES[1], np.nan)]
+    bench: Any = SimpleNamespace(channels=("z", "fx"))
+    first, second = beside_plates(bench, [-0.7 * each for each in CHANGES], lost)
+    assert first[1] == pytest.approx(np.zeros(50), abs=1e-12)
+    assert np.array_equal(second, -0.7 * CHANGES[1])
 
 
 def test_plates_that_come_to_bear_later_are_no_delay_of_the_instruments():

@@ -44,7 +44,7 @@ def test_friction_is_the_look_alike_of_a_pull(regressors, wrong, pool):
     assert "surface_slope" not in alike
 
 
-def test_look_alikes_lead_to_the_true_pair(regressors, wrong, pool):
+def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     found = exchanged_sets(regressors, wrong, pool)
     assert all(len(each.names) == 2 and each.proposed_step is not None for each in found)
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
