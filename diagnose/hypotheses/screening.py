@@ -72,7 +72,6 @@ class ScreeningSettings:
         min_round_gain: A further round is made while the last one gained this much log score [-].
         hopeless_deficit: A hypothesis that is this far behind the best in log score, after as much
             as the last round gained once more, gets none [-].
-        far_simulations: Simulations from a strength far from zero.
         far_from_floor: Strengths far from zero are tried one by one where the reference model
             misses a block by more than this many model errors [-].
         far_from_scatter: The same where the runs' zeta scatters by more than this many times the
@@ -103,10 +102,9 @@ class ScreeningSettings:
     first_simulations: int = 2
     max_continued: int = 3
     max_rounds: int = 6
-    simulations_per_round: int = 2
+    simulations_per_round: int = 5
     min_round_gain: float = 3.0
     hopeless_deficit: float = 100.0
-    far_simulations: int = 5
     far_from_floor: float = 30.0
     far_from_scatter: float = 10.0
     pair_floor: float = 1.5
@@ -223,6 +221,7 @@ class _Screening:
             by_size[1] = self.finish(self.refine_sets(singles, singles, self.settings.pairs))
             self.add_effects(by_size, report)
             self.exchange_effects(by_size, report)
+            self.take_out_further(by_size)
         singles, pairs, *larger = map(tuple, by_size)
         return ScreeningResult(self.regressors, none, singles, pairs, tuple(larger))
 
@@ -245,7 +244,7 @@ class _Screening:
                 self.finish(self.refine_sets(by_size[-1], by_size[0], settings.larger_sets))
             )
             if by_size[-1]:
-                self.take_out(by_size)
+                self.take_out(by_size, len(by_size) - 1)
 
     def exchange_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
         """Try look-alikes in the places of the best set's effects, again while that pays.
@@ -274,28 +273,45 @@ class _Screening:
             del by_size[place + 1 :]
             self.add_effects(by_size, report)
 
-    def take_out(self, by_size: list[list[Hypothesis]]) -> None:
-        """Try the best of the largest sets without each of its effects.
+    def take_out_further(self, by_size: list[list[Hypothesis]]) -> None:
+        """Try the best set without one effect after another, while that costs little."""
+        place = max(
+            (place for place, several in enumerate(by_size) if several),
+            key=lambda place: by_size[place][0].score,
+        )
+        while place > 1:
+            best = by_size[place][0]
+            self.take_out(by_size, place)
+            place -= 1
+            if by_size[place][0].score < best.score - self.settings.min_set_gain:
+                break
+
+    def take_out(self, by_size: list[list[Hypothesis]], place: int) -> None:
+        """Try the best set of one size without each of its effects.
 
         The larger it is, the more likely that one which was added early has no part in it. What is
         left is one of the sets of the size below.
+
+        Args:
+            by_size: Singles, pairs and larger sets, best first.
+            place: Of the size among them, pairs or more.
         """
-        best, known = by_size[-1][0], {frozenset(each.names) for each in by_size[-2]}
-        places = [
-            place
-            for place, name in enumerate(best.names)
+        best, known = by_size[place][0], {frozenset(each.names) for each in by_size[place - 1]}
+        missing = [
+            index
+            for index, name in enumerate(best.names)
             if frozenset(best.names) - {name} not in known
         ]
         simulations = self.settings.larger_sets.max_simulations
 
-        def without(place: int) -> Hypothesis:
-            first = self.refine(without_effect(best, place), 1)
+        def without(index: int) -> Hypothesis:
+            first = self.refine(without_effect(best, index), 1)
             if first.score < best.score - self.settings.hopeless_deficit:
                 return first
             return self.refine(first, simulations - 1)
 
-        kept = [each for each in self.pool.map_outer(without, places) if each.is_simulated]
-        by_size[-2] = sorted([*by_size[-2], *kept], key=lambda each: -each.score)
+        kept = [each for each in self.pool.map_outer(without, missing) if each.is_simulated]
+        by_size[place - 1] = sorted([*by_size[place - 1], *kept], key=lambda each: -each.score)
 
     def refine(self, start: Hypothesis, simulations: int) -> Hypothesis:
         """Refine a hypothesis by so many simulations at most."""
@@ -374,7 +390,7 @@ class _Screening:
             return best
         # The way there was long: the derivatives that it corrected hold for no small step.
         exact = relinearize(self.regressors, best, self.pool)
-        return self.refine(exact, self.settings.far_simulations)
+        return self.refine(exact, self.settings.simulations_per_round)
 
     def finish(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Refine the leading hypotheses to their end; return all of them, best first."""
