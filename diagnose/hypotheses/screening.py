@@ -111,7 +111,7 @@ class ScreeningSettings:
     max_effects: int = 6
     min_set_gain: float = 8.0
     min_set_share: float = 0.1
-    max_exchanges: int = 2
+    max_exchanges: int = 3
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
@@ -257,7 +257,7 @@ class _Screening:
         settings = self.settings
         for number in range(settings.max_exchanges):
             leading = [several[0] for several in by_size[1:] if several]
-            best = max(leading, key=lambda each: each.score, default=None)
+            best = max(leading, key=self.worth, default=None)
             # Once where it leaves no gap, too: what does as well belongs in a group with it.
             if best is None or (number > 0 and not self.leaves_gap(best)):
                 break
@@ -268,7 +268,7 @@ class _Screening:
             )
             place = len(best.names) - 1
             by_size[place] = sorted([*by_size[place], *tried], key=lambda each: -each.score)
-            if by_size[place][0].score < best.score + settings.min_set_gain:
+            if by_size[place][0].score < best.score + settings.min_round_gain:
                 break
             del by_size[place + 1 :]
             self.add_effects(by_size, report)
@@ -311,7 +311,15 @@ class _Screening:
             return self.refine(first, simulations - 1)
 
         kept = [each for each in self.pool.map_outer(without, missing) if each.is_simulated]
-        by_size[place - 1] = sorted([*by_size[place - 1], *kept], key=lambda each: -each.score)
+        # Others' numbers take an effect's place only as far as derivatives hold: those that may lead
+        # get fresh ones.
+        least = by_size[place - 1][0].score - self.settings.min_set_gain
+        promising = [predicted_score(self.regressors, each, self.pool) > least for each in kept]
+        leading = self.finish([each for each, may in zip(kept, promising, strict=True) if may])
+        rest = [each for each, may in zip(kept, promising, strict=True) if not may]
+        by_size[place - 1] = sorted(
+            [*by_size[place - 1], *leading, *rest], key=lambda each: -each.score
+        )
 
     def refine(self, start: Hypothesis, simulations: int) -> Hypothesis:
         """Refine a hypothesis by so many simulations at most."""
@@ -423,6 +431,10 @@ class _Screening:
             if gain < settings.min_round_gain or hopeless:
                 break
         return here
+
+    def worth(self, each: Hypothesis) -> float:
+        """Log score of a hypothesis, less what its effects must gain."""
+        return each.score - self.settings.min_set_gain * len(each.names)
 
     def best_score(self) -> float:
         """Log score of a model that leaves noise alone."""

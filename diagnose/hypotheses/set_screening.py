@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from diagnose.hypotheses.exact_responses import with_exact_responses
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     least_changes,
@@ -57,7 +58,7 @@ class SetScreeningSettings:
     """
 
     max_bases: int = 4
-    sets_per_round: int = 10
+    sets_per_round: int = 12
     max_rounds: int = 1
     far_from_floor: float = 5.0
     max_simulations: int = 3
@@ -73,7 +74,7 @@ DEFAULT_PAIRS = SetScreeningSettings()
 # A base of two effects or more is simulated and linearised again, so linear fits about it are
 # nearer to the truth than those about the reference model: fewer tries are enough.
 DEFAULT_LARGER_SETS = SetScreeningSettings(
-    max_bases=2, sets_per_round=6, max_continued=3, both_starts=1
+    max_bases=3, sets_per_round=8, max_continued=3, both_starts=1
 )
 
 
@@ -302,21 +303,36 @@ def _with_any(
     of_run = first.columns, first.residual, first.log_zeta
     matrices = regressors.gram_matrices_beside_all(*of_run, pool)
     others = [v for v in regressors.variants if v.effect.about.name not in first.names]
-    best = best_variants(
-        matrices, least_changes(first), others, miss, rankings, regressors.settings
-    )
+    weights = regressors.settings
+    best = best_variants(matrices, least_changes(first), others, miss, rankings, weights)
+    exact: dict[str, list[np.ndarray]] = {}
+    if len(first.names) > 1:
+        variants = [variant for variant, _ in best[-1].values()]
+        columns, numbered = with_exact_responses(regressors, first, variants, pool)
+        matrices = regressors.gram_matrices_of(columns, first.residual, first.log_zeta, pool)
+        best = best_variants(matrices, least_changes(first), numbered, miss, rankings, weights)
+        known = {v.effect.about.name: v for v in variants}
+        count = 1 + len(first.coordinates)
+        for each in numbered:
+            own = [count + column for column in each.columns]
+            exact[each.effect.about.name] = [of_run[:, :, own] for of_run in columns]
+        best = [{n: (known[n], fit) for n, (_, fit) in leading.items()} for leading in best]
     found = []
     for leading in best:
         order = []
         for name, (variant, fit) in leading.items():
-            build = partial(joined_from_null, regressors, first, variant, fit)
+            build = partial(joined_from_null, regressors, first, variant, fit, exact.get(name))
             order.append(SetCandidate(frozenset((*first.names, name)), True, fit.score, build))
         found.append(order)
     return found
 
 
 def joined_from_null(
-    regressors: Regressors, first: Hypothesis, variant: ShapeVariant, fit: LinearFit
+    regressors: Regressors,
+    first: Hypothesis,
+    variant: ShapeVariant,
+    fit: LinearFit,
+    exact: Sequence[np.ndarray] | None = None,
 ) -> Hypothesis:
     """A hypothesis with another effect from its null, as a linear fit of both proposes.
 
@@ -332,7 +348,11 @@ def joined_from_null(
     assert added.proposed_step is not None
     change = np.r_[fit.coefficients[:count], added.proposed_step[1]]
     step = fit.log_zeta_change, change
-    return _join(first, added.model, added.coordinates, added.columns, fit, step)
+    columns = added.columns
+    for mine, given in zip(columns, exact or columns, strict=True):
+        if exact is not None:
+            mine[:, :, 1 : 1 + given.shape[2]] = given
+    return _join(first, added.model, added.coordinates, columns, fit, step)
 
 
 def _join(

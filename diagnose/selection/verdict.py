@@ -41,7 +41,7 @@ class VerdictSettings:
     min_named_weight: float = 0.1
     alarm_ratio: float = 4.5
     min_competing_weight: float = 0.02
-    remainder_weight: float = 0.8
+    remainder_weight: float = 0.7
     max_retries: int = 3
     max_competing: int = 3
 

@@ -73,7 +73,6 @@ class GrouserShadowing(AbstractAdjustment):
         "wheel",
         "faces of grousers carry from r + share h_g to r + h_g",
         "sand between grousers moves with the wheel: only the outer share of their height carries",
-        hypothesis=False,
     )
     share: Number = strength(
         "-", 0.3, "inner share of the height that carries nothing", least=0.0, most=1.0
