@@ -311,8 +311,8 @@ class _Screening:
             return self.refine(first, simulations - 1)
 
         kept = [each for each in self.pool.map_outer(without, missing) if each.is_simulated]
-        # Others' numbers take an effect's place only as far as derivatives hold: those that may lead
-        # get fresh ones.
+        # The others make up for an effect only as far as derivatives hold: what may lead gets
+        # fresh ones.
         least = by_size[place - 1][0].score - self.settings.min_set_gain
         promising = [predicted_score(self.regressors, each, self.pool) > least for each in kept]
         leading = self.finish([each for each, may in zip(kept, promising, strict=True) if may])

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.hypotheses.exact_responses import with_exact_responses
+from diagnose.hypotheses.exact_responses import exact_responses
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     least_changes,
@@ -303,20 +303,19 @@ def _with_any(
     of_run = first.columns, first.residual, first.log_zeta
     matrices = regressors.gram_matrices_beside_all(*of_run, pool)
     others = [v for v in regressors.variants if v.effect.about.name not in first.names]
-    weights = regressors.settings
-    best = best_variants(matrices, least_changes(first), others, miss, rankings, weights)
+    lower, weights = least_changes(first), regressors.settings
+    best = best_variants(matrices, lower, others, miss, rankings, weights)
+    # Of each effect the shapes that do best by the last ranking.
+    chosen = {name: variant for name, (variant, _) in best[-1].items()}
     exact: dict[str, list[np.ndarray]] = {}
     if len(first.names) > 1:
-        variants = [variant for variant, _ in best[-1].values()]
-        columns, numbered = with_exact_responses(regressors, first, variants, pool)
-        matrices = regressors.gram_matrices_of(columns, first.residual, first.log_zeta, pool)
-        best = best_variants(matrices, least_changes(first), numbered, miss, rankings, weights)
-        known = {v.effect.about.name: v for v in variants}
-        count = 1 + len(first.coordinates)
-        for each in numbered:
-            own = [count + column for column in each.columns]
-            exact[each.effect.about.name] = [of_run[:, :, own] for of_run in columns]
-        best = [{n: (known[n], fit) for n, (_, fit) in leading.items()} for leading in best]
+        further = exact_responses(regressors, first, list(chosen.values()), pool)
+        matrices = regressors.gram_matrices_of(
+            further.columns, first.residual, first.log_zeta, pool
+        )
+        best = best_variants(matrices, lower, further.variants, miss, rankings, weights)
+        best = [{name: (chosen[name], fit) for name, (_, fit) in each.items()} for each in best]
+        exact = further.by_name()
     found = []
     for leading in best:
         order = []
@@ -341,6 +340,8 @@ def joined_from_null(
         first: The hypothesis.
         variant: The effect.
         fit: Of the hypothesis's coordinates, and of the effect's strengths behind them.
+        exact: By run, derivatives by the effect's strengths beside the hypothesis, shape (channels,
+            samples, strengths); those of the regressors where they are not given.
     """
     count = len(first.coordinates)
     own = replace(fit, coefficients=fit.coefficients[count:])
@@ -349,9 +350,11 @@ def joined_from_null(
     change = np.r_[fit.coefficients[:count], added.proposed_step[1]]
     step = fit.log_zeta_change, change
     columns = added.columns
-    for mine, given in zip(columns, exact or columns, strict=True):
-        if exact is not None:
-            mine[:, :, 1 : 1 + given.shape[2]] = given
+    if exact is not None:
+        columns = [
+            np.concatenate([mine[:, :, :1], given, mine[:, :, 1 + given.shape[2] :]], axis=2)
+            for mine, given in zip(columns, exact, strict=True)
+        ]
     return _join(first, added.model, added.coordinates, columns, fit, step)
 
 
