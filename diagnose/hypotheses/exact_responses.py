@@ -11,14 +11,19 @@ import numpy as np
 
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.linear.regressors import Regressors, ShapeVariant
-from diagnose.model.augmented_model import AugmentedModel, Directions, predict_with_jacobian
+from diagnose.model.augmented_model import (
+    COLUMN_COUNTS,
+    AugmentedModel,
+    Directions,
+    predict_with_jacobian,
+)
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import shapes, strengths
 
-# Columns of the program that differentiates small sets, which is compiled already.
-COLUMNS = 7
+# Those of the program that differentiates small sets, which is compiled already.
+COLUMNS = COLUMN_COUNTS[0]
 
 
 @dataclass(frozen=True, eq=False)

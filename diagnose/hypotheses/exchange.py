@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.hypotheses.hypothesis import Hypothesis, least_changes
-from diagnose.hypotheses.linear_ranking import best_variants
+from diagnose.hypotheses.hypothesis import Hypothesis, lower_bounds
 from diagnose.hypotheses.set_screening import joined_from_null, without_effect
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.run_pool import RunPool
@@ -25,13 +24,33 @@ class ExchangeSettings:
         min_alike: Share of an effect's response that another's makes up for, beside zeta, at least
             [-].
         max_alike: Effects tried in the place of one, at most.
+        max_continued: Of these so many get more than one simulation. Where others made up for a
+            wrong effect, one simulation does not tell the right one yet.
     """
 
     min_alike: float = 0.5
     max_alike: int = 5
+    max_continued: int = 2
 
 
 DEFAULT_EXCHANGE = ExchangeSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class LookAlike:
+    """An effect that changes the runs nearly as a part of a set does.
+
+    Attributes:
+        variant: The effect.
+        share: Share of the part that it makes up for, beside zeta [-].
+        strengths: With which it does [typical sizes], shape (strengths,).
+        log_zeta_change: What zeta makes up for beside it [-], shape (runs,).
+    """
+
+    variant: ShapeVariant
+    share: float
+    strengths: np.ndarray
+    log_zeta_change: np.ndarray
 
 
 def exchanged_sets(
@@ -39,14 +58,20 @@ def exchanged_sets(
     best: Hypothesis,
     pool: RunPool,
     settings: ExchangeSettings = DEFAULT_EXCHANGE,
-) -> list[Hypothesis]:
+) -> list[list[Hypothesis]]:
     """A set with one effect after the other replaced by its look-alikes, each with a step proposed.
+
+    A look-alike begins with the strengths by which it does what the other did, the rest of the set
+    with its numbers.
 
     Args:
         regressors: The runs.
         best: The set, simulated.
         pool: Threads.
         settings: Numbers of the choice.
+
+    Returns:
+        By effect that is replaced.
     """
     found = []
     for place in range(len(best.model.effects)):
@@ -57,29 +82,27 @@ def exchanged_sets(
             residual=[left - own for left, own in zip(best.residual, part, strict=True)],
             proposed_step=None,
         )
-        names = set(look_alikes(regressors, best, part, pool, settings))
-        variants = [
-            each
-            for each in regressors.variants
-            if each.effect.about.name in names
-            and len(reported_names((*rest.names, each.effect.about.name))) == len(best.names)
-        ]
-        if not variants:
-            continue
-        weights = regressors.settings
-        matrices = regressors.gram_matrices_beside_all(
-            rest.columns, rest.residual, rest.log_zeta, pool
+        alike = look_alikes(regressors, best, part, pool, settings)
+        found.append(
+            [
+                _in_its_place(regressors, rest, each)
+                for each in alike
+                if len(reported_names((*rest.names, each.variant.effect.about.name)))
+                == len(best.names)
+            ]
         )
-        (alike,) = best_variants(
-            matrices,
-            least_changes(rest),
-            variants,
-            best.fit.mean_square,
-            [(0.0, weights.linear_error)],
-            weights,
-        )
-        found += [joined_from_null(regressors, rest, *each) for each in alike.values()]
     return found
+
+
+def _in_its_place(regressors: Regressors, rest: Hypothesis, alike: LookAlike) -> Hypothesis:
+    """The rest of a set with a look-alike, which does what the effect that is missing did."""
+    fit = replace(
+        rest.fit,
+        score=-np.inf,
+        coefficients=np.r_[np.zeros(len(rest.coordinates)), alike.strengths],
+        log_zeta_change=alike.log_zeta_change,
+    )
+    return joined_from_null(regressors, rest, alike.variant, fit)
 
 
 def _response(best: Hypothesis, place: int) -> list[np.ndarray]:
@@ -94,7 +117,7 @@ def look_alikes(
     part: list[np.ndarray],
     pool: RunPool,
     settings: ExchangeSettings = DEFAULT_EXCHANGE,
-) -> list[str]:
+) -> list[LookAlike]:
     """Effects outside a set whose response makes up for most of a part of its own, the best first.
 
     Args:
@@ -106,31 +129,31 @@ def look_alikes(
     """
     columns = [np.stack([best.by_zeta(run), own], axis=2) for run, own in enumerate(part)]
     products = regressors.gram_matrices_beside_all(columns, best.residual, best.log_zeta, pool)
-    gram = _beside_zeta(products.weighed(regressors.settings))
-    shares: dict[str, float] = {}
+    weighed = products.weighed(regressors.settings)
+    found: dict[str, LookAlike] = {}
     for variant in regressors.variants:
         name = variant.effect.about.name
         if name in best.names:
             continue
-        share = _made_up(gram, variant)
-        shares[name] = max(share, shares.get(name, 0.0))
-    alike = [name for name, share in shares.items() if share > settings.min_alike]
-    return sorted(alike, key=lambda name: -shares[name])[: settings.max_alike]
+        alike = _made_up(weighed, variant)
+        if name not in found or alike.share > found[name].share:
+            found[name] = alike
+    alike = [each for each in found.values() if each.share > settings.min_alike]
+    return sorted(alike, key=lambda each: -each.share)[: settings.max_alike]
 
 
-def _beside_zeta(weighed: np.ndarray) -> np.ndarray:
-    """Products of all columns, less what each run's own zeta makes up for, shape (n, n).
+def _made_up(weighed: np.ndarray, variant: ShapeVariant) -> LookAlike:
+    """What a variant makes up for of the column behind zeta.
 
-    `weighed` are the runs' weighed gram matrices, shape (runs, n, n).
+    `weighed` are the runs' weighed gram matrices, zeta's column first, shape (runs, n, n).
     """
-    own = weighed[:, 0]
-    power = np.maximum(own[:, 0], 1e-300)
-    return (weighed - own[:, :, None] * own[:, None, :] / power[:, None, None]).sum(axis=0)
-
-
-def _made_up(gram: np.ndarray, variant: ShapeVariant) -> float:
-    """Share of the first column behind zeta that a variant's columns make up for [-]."""
     taken = [2 + column for column in variant.columns]
+    by_zeta = weighed[:, 0] / np.maximum(weighed[:, 0, :1], 1e-300)
+    # What each run's own zeta makes up for is no part of it.
+    gram = (weighed - weighed[:, 0, :, None] * by_zeta[:, None, :]).sum(axis=0)
     cross, power = gram[taken, 1], gram[1, 1]
     fitted = np.linalg.lstsq(gram[np.ix_(taken, taken)], cross, rcond=1e-10)[0]
-    return float(cross @ fitted / power) if power > 0 else 0.0
+    fitted = np.maximum(fitted, lower_bounds(variant.effect))
+    left = power - 2 * cross @ fitted + fitted @ gram[np.ix_(taken, taken)] @ fitted
+    share = 1 - float(left / power) if power > 0 else 0.0
+    return LookAlike(variant, share, fitted, by_zeta[:, 1] - by_zeta[:, taken] @ fitted)

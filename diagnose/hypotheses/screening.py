@@ -262,9 +262,17 @@ class _Screening:
             if best is None or (number > 0 and not self.leaves_gap(best)):
                 break
             report(f"look-alikes in sets of {len(best.names)} effects")
-            starts = exchanged_sets(self.regressors, best, self.pool, settings.exchange)
+            limits = replace(settings.larger_sets, max_continued=settings.exchange.max_continued)
             tried = self.finish(
-                race(self.regressors, starts, self.pool, settings.larger_sets, settings.refinement)
+                [
+                    each
+                    for starts in exchanged_sets(
+                        self.regressors, best, self.pool, settings.exchange
+                    )
+                    for each in race(
+                        self.regressors, starts, self.pool, limits, settings.refinement
+                    )
+                ]
             )
             place = len(best.names) - 1
             by_size[place] = sorted([*by_size[place], *tried], key=lambda each: -each.score)

@@ -3,7 +3,8 @@
 A set begins with a smaller one that was refined: a single effect, a pair. Another effect is added
 to it by a linear fit: from its null, or, where it was refined alone as well, by the change that it
 made to the runs there. The first kind of start covers every effect, but only small strengths; the
-second holds far from the null, too.
+second holds far from the null, too. Beside two effects or more, responses from the null are taken
+at the set's numbers.
 """
 
 import itertools

@@ -25,6 +25,10 @@ from drftjax.simulation.trial import Trial
 # model's own surface or radius may bring other plates into the sand.
 MAX_COVERED_SHARE = 0.85
 
+# Columns of the programs that differentiate. Each number of columns is a program of its own. With
+# that of zeta, eight fill a vector.
+COLUMN_COUNTS = (7, 15)
+
 
 @dataclass(frozen=True)
 class FreeField:
@@ -244,8 +248,7 @@ def directions_within(model: AugmentedModel, common: AugmentedModel) -> Directio
         return Directions(program, held, np.zeros(len(mix)), mix, len(model.free))
     places = {(common.effects[f.index], f.field): row for row, f in enumerate(common.free)}
     rows = [places[model.effects[f.index], f.field] for f in model.free]
-    # Each number of columns is a program of its own. With that of zeta, eight fill a vector.
-    columns = next(count for count in (7, 15, len(common.free)) if count >= len(rows))
+    columns = next(count for count in (*COLUMN_COUNTS, len(common.free)) if count >= len(rows))
     start, mix = common.null(), np.zeros((len(common.free), columns))
     start[rows] = 0
     mix[rows, np.arange(len(rows))] = 1

@@ -57,7 +57,7 @@ def test_effects_that_carriage_or_channels_cannot_show_are_no_candidates():
 
 
 def test_effects_that_are_no_usual_hypotheses_are_looked_for_where_they_are_named():
-    rare = ["vertical_compliance", "grouser_shadowing", "surface_undulation"]
+    rare = ["vertical_compliance", "sinkage_offset", "surface_undulation"]
     free = [coarse("free", recorded(setup_of((TIME, OMEGA))))]
     assert not names(free) & set(rare)
     assert {"slip_sinkage", "heap", "depth_power"} <= names(free)

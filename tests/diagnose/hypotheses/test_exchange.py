@@ -40,12 +40,14 @@ def wrong(regressors, pool):
 def test_friction_is_the_look_alike_of_a_pull(regressors, wrong, pool):
     part = [each[:, :, 1] * wrong.coordinates[0] for each in wrong.columns]
     alike = look_alikes(regressors, wrong, part, pool)
-    assert alike[0] == "horizontal_coulomb"
-    assert "surface_slope" not in alike
+    names = [each.variant.effect.about.name for each in alike]
+    assert names[0] == "horizontal_coulomb"
+    assert "surface_slope" not in names
 
 
 def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
-    found = exchanged_sets(regressors, wrong, pool)
+    by_place = exchanged_sets(regressors, wrong, pool)
+    found = [each for alike in by_place for each in alike]
     assert all(len(each.names) == 2 and each.proposed_step is not None for each in found)
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
     lag = next(each for each in found if each.names == ("drawbar", "speed_lag"))

@@ -1,0 +1,110 @@
+"""Responses to further effects beside a set, held against differences of whole simulations."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnose.dataset import match_initial_zeta
+from diagnose.hypotheses.exact_responses import exact_responses
+from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
+from diagnose.hypotheses.refinement import refine, relinearize
+from diagnose.hypotheses.set_screening import joined_from_null
+from diagnose.linear.linearized_runs import linearize_runs
+from diagnose.linear.regressors import SLOW_EFFECTS, Regressors
+from diagnose.model.augmented_model import AugmentedModel
+from drftjax.effects.catalogue import effect_class
+from tests.helpers.rig_datasets import dataset_with
+
+# A late reading moves what all other effects do to the runs; loosening has a shape, and
+# rate_hardening is not in the program that differentiates all sets.
+SET = ("measurement_delay", "horizontal_coulomb")
+FURTHER = ("sinkage_gain", "loosening", "drawbar", "rate_hardening")
+TRUTH = (
+    {"name": "measurement_delay", "delay": 0.15},
+    {"name": "horizontal_coulomb", "force": 6.0},
+)
+# Of a typical size: the difference of two runs is then exact to a thousandth, and well above their
+# rounding.
+STEP = 1e-3
+
+
+@pytest.fixture(scope="module")
+def regressors(pool) -> Regressors:
+    dataset = dataset_with(*TRUTH)
+    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
+    effects = [*map(effect_class, (*SET, *FURTHER))]
+    return Regressors.of(dataset, linearized, effects, pool)
+
+
+@pytest.fixture(scope="module")
+def here(regressors, pool) -> Hypothesis:
+    start = linear_start(regressors, [_variant(regressors, name) for name in SET])
+    return relinearize(regressors, refine(regressors, start, 3, pool), pool)
+
+
+def _variant(regressors: Regressors, name: str):
+    of_name = [each for each in regressors.variants if each.effect.about.name == name]
+    return of_name[len(of_name) // 2]
+
+
+def _difference(regressors: Regressors, here: Hypothesis, name: str, run: int) -> np.ndarray:
+    """Change of a run by one strength more, over its step, shape (channels, samples)."""
+    variant = _variant(regressors, name)
+    model = AugmentedModel((*here.model.effects, variant.effect))
+    behind = [*map(np.log, variant.shapes)]
+    either = [
+        regressors.dataset.prediction(
+            model, run, here.log_zeta[run], np.r_[here.coordinates, sign * STEP, behind]
+        )
+        for sign in (1.0, -1.0)
+    ]
+    return (either[0] - either[1]) / (2 * STEP)
+
+
+@pytest.mark.parametrize("name", [each for each in FURTHER if each not in SLOW_EFFECTS])
+def test_responses_beside_a_set_are_those_of_the_simulator(regressors, here, pool, name):
+    variants = [_variant(regressors, each) for each in FURTHER]
+    found = exact_responses(regressors, here, variants, pool).by_name()[name]
+    for run, own in enumerate(found):
+        expected = _difference(regressors, here, name, run)
+        error = np.abs(own[:, :, 0] - expected).max(axis=1)
+        # Slopes are taken in whole steps, runs in parts of them: two hundredths of the response.
+        assert (error <= 0.02 * np.abs(expected).max()).all()
+
+
+def test_responses_about_the_reference_model_are_others(regressors, here):
+    """Beside a late reading the gain of a height is late, too."""
+    column = 1 + _variant(regressors, "sinkage_gain").columns[0]
+    expected = _difference(regressors, here, "sinkage_gain", 0)
+    error = np.abs(regressors.columns[0][:, :, column] - expected).max()
+    assert error > 0.05 * np.abs(expected).max()
+
+
+def test_what_the_common_program_lacks_keeps_its_response(regressors, here, pool):
+    variants = [_variant(regressors, each) for each in FURTHER]
+    found = exact_responses(regressors, here, variants, pool).by_name()["rate_hardening"]
+    column = 1 + _variant(regressors, "rate_hardening").columns[0]
+    assert (found[0][:, :, 0] == regressors.columns[0][:, :, column]).all()
+
+
+def test_a_set_with_such_an_effect_keeps_all(regressors, pool):
+    names = ("horizontal_coulomb", "rate_hardening")
+    beside = linear_start(regressors, [_variant(regressors, name) for name in names])
+    variant = _variant(regressors, "sinkage_gain")
+    found = exact_responses(regressors, beside, [variant], pool)
+    (own,) = found.by_name().values()
+    assert (own[0][:, :, 0] == regressors.columns[0][:, :, 1 + variant.columns[0]]).all()
+    assert [each.columns for each in found.variants] == [(0,)]
+
+
+def test_an_effect_joins_with_its_exact_response(regressors, here, pool):
+    variant = _variant(regressors, "loosening")
+    exact = exact_responses(regressors, here, [variant], pool).by_name()["loosening"]
+    count = len(here.coordinates)
+    fit = linear_start(regressors, [variant]).fit
+    both = np.r_[np.zeros(count), fit.coefficients]
+    joined = joined_from_null(regressors, here, variant, replace(fit, coefficients=both), exact)
+    assert joined.names == (*here.names, "loosening")
+    assert (joined.columns[0][:, :, 1 + count] == exact[0][:, :, 0]).all()
+    assert joined.columns[0].shape[2] == 1 + len(joined.coordinates)
