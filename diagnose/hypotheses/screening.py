@@ -254,28 +254,24 @@ class _Screening:
                 take the place of larger ones.
             report: Called with what is done next.
         """
-        settings = self.settings
-        for number in range(settings.max_exchanges):
+        settings, done = self.settings, set[frozenset[str]]()
+        limits = replace(settings.larger_sets, max_continued=settings.exchange.max_continued)
+        for _ in range(settings.max_exchanges):
             leading = [several[0] for several in by_size[1:] if several]
             best = max(leading, key=self.worth, default=None)
-            # Once where it leaves no gap, too: what does as well belongs in a group with it.
-            if best is None or (number > 0 and not self.leaves_gap(best)):
+            # Where it leaves no gap, too: what does as well belongs in a group with it.
+            if best is None or frozenset(best.names) in done:
                 break
+            done.add(frozenset(best.names))
             report(f"look-alikes in sets of {len(best.names)} effects")
-            limits = replace(settings.larger_sets, max_continued=settings.exchange.max_continued)
-            tried = self.finish(
-                [
-                    each
-                    for starts in exchanged_sets(
-                        self.regressors, best, self.pool, settings.exchange
-                    )
-                    for each in race(
-                        self.regressors, starts, self.pool, limits, settings.refinement
-                    )
-                ]
-            )
+            by_place = exchanged_sets(self.regressors, best, self.pool, settings.exchange)
+            tried = [
+                each
+                for starts in by_place
+                for each in race(self.regressors, starts, self.pool, limits, settings.refinement)
+            ]
             place = len(best.names) - 1
-            by_size[place] = sorted([*by_size[place], *tried], key=lambda each: -each.score)
+            by_size[place] = best_of_each([*by_size[place], *self.finish(tried)])
             if by_size[place][0].score < best.score + settings.min_round_gain:
                 break
             del by_size[place + 1 :]
@@ -325,9 +321,7 @@ class _Screening:
         promising = [predicted_score(self.regressors, each, self.pool) > least for each in kept]
         leading = self.finish([each for each, may in zip(kept, promising, strict=True) if may])
         rest = [each for each, may in zip(kept, promising, strict=True) if not may]
-        by_size[place - 1] = sorted(
-            [*by_size[place - 1], *leading, *rest], key=lambda each: -each.score
-        )
+        by_size[place - 1] = best_of_each([*by_size[place - 1], *leading, *rest])
 
     def refine(self, start: Hypothesis, simulations: int) -> Hypothesis:
         """Refine a hypothesis by so many simulations at most."""
@@ -460,6 +454,14 @@ class _Screening:
             for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
             if kind == "slow"
         )
+
+
+def best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best of those with the same effects, best first: one set is weighed once."""
+    found: dict[frozenset[str], Hypothesis] = {}
+    for each in sorted(hypotheses, key=lambda each: -each.score):
+        found.setdefault(frozenset(each.names), each)
+    return list(found.values())
 
 
 def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:

@@ -1,13 +1,17 @@
 """Look-alikes of a set's effects: found by what they change, and tried in the effects' places."""
 
+from dataclasses import replace
+
 import pytest
 
 from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.exchange import exchanged_sets, look_alikes
 from diagnose.hypotheses.hypothesis import linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
+from diagnose.hypotheses.screening import best_of_each
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import AugmentedModel
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
@@ -51,9 +55,22 @@ def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     assert all(len(each.names) == 2 and each.proposed_step is not None for each in found)
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
     lag = next(each for each in found if each.names == ("drawbar", "speed_lag"))
+    # It begins where it does what the filter did, not at its null; the pull stays as it was.
+    assert lag.model.free[1].value(lag.proposed_step[1][1]) == pytest.approx(0.15, rel=0.3)
+    assert lag.proposed_step[1][0] == 0
     moved = refine(regressors, lag, 3, pool)
     exact = refine(regressors, relinearize(regressors, moved, pool), 3, pool)
     assert exact.score > wrong.score
     assert exact.model.free[1].field == "lag"
     # A pull stands for friction, which three short runs hardly tell apart: a tenth.
     assert exact.model.free[1].value(exact.coordinates[1]) == pytest.approx(0.15, rel=0.1)
+
+
+def test_a_set_that_was_found_twice_is_weighed_once(wrong):
+    better = replace(
+        wrong,
+        model=AugmentedModel(wrong.model.effects[::-1]),
+        fit=replace(wrong.fit, score=wrong.score + 1),
+    )
+    alone = replace(wrong, model=AugmentedModel(wrong.model.effects[:1]))
+    assert best_of_each([wrong, better, alone]) == [better, alone]
