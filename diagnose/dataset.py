@@ -16,6 +16,7 @@ from diagnose.model.augmented_model import (
     AugmentedModel,
     Directions,
     predict,
+    predict_with_jacobian,
 )
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
@@ -227,6 +228,41 @@ class RigDataset:
             coordinates,
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
+
+    def derivatives(
+        self,
+        pool: RunPool,
+        directions: Directions,
+        log_zeta: np.ndarray,
+        coordinates: np.ndarray,
+    ) -> list[np.ndarray]:
+        """By run, derivatives of the channels at the times compared, by the simulator itself.
+
+        Args:
+            pool: Threads.
+            directions: Of a model.
+            log_zeta: Logarithm of each run's zeta over its set-up's [-], shape (runs,).
+            coordinates: The model's free numbers, shape (free,).
+
+        Returns:
+            By (own log zeta, free numbers) [m, N, N m], each of shape (channels, samples, 1 +
+            free).
+        """
+        self.compile(pool, predict_with_jacobian, directions)
+
+        def of(run: int) -> np.ndarray:
+            _, slope = predict_with_jacobian(
+                directions,
+                self.channels,
+                self.trials[run],
+                self.observations[run],
+                as_real(log_zeta[run]),
+                coordinates,
+            )
+            counts = self.counts(run)
+            return slope[:, : len(counts)][:, counts]
+
+        return self.map(pool, of)
 
     def all_finite(self, residuals: Sequence[np.ndarray]) -> bool:
         """Tell whether every run was simulated to its end.

@@ -22,9 +22,9 @@ class EffectSelectionSettings:
         min_improvement: The gap over all channels must fall by this share at least [-], and in no
             channel rise by more than it.
         explained_share: Effects explain most of a gap that they shrink by this share in every
-            channel [-]. On rigs with something outside the list the best set of effects shrank one
-            channel by 57 % at most (seven of eight sets of `drft blind make --wrong unknown
-            --faintest 3 --seed 361001`; the eighth is an effect of the list in other words).
+            channel [-]. On rigs with something outside the list the best set left 43 % or more of
+            one channel (seven of eight sets of `drft blind make --wrong unknown --faintest 3 --seed
+            361001`; in the eighth an effect of the list leaves nothing, and is named).
         large_gap: So many noise floors, in one channel at least, are needed for that [-]: of a
             smaller gap chance is too large a part.
     """

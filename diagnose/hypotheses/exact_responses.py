@@ -15,10 +15,8 @@ from diagnose.model.augmented_model import (
     COLUMN_COUNTS,
     AugmentedModel,
     Directions,
-    predict_with_jacobian,
 )
 from diagnose.run_pool import RunPool
-from drftjax.common.arrays import as_real
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import shapes, strengths
 
@@ -41,12 +39,12 @@ class FurtherResponses:
 
     def by_name(self) -> dict[str, list[np.ndarray]]:
         """By further effect, by run: its own columns, shape (channels, samples, strengths)."""
-        behind = sum(len(each.columns) for each in self.variants)
-        return {
-            each.effect.about.name: [of_run[:, :, own] for of_run in self.columns]
-            for each in self.variants
-            if (own := [column - behind for column in each.columns])
-        }
+        strengths_of_all = sum(len(each.columns) for each in self.variants)
+        found = {}
+        for each in self.variants:
+            own = [column - strengths_of_all for column in each.columns]  # from the last column
+            found[each.effect.about.name] = [of_run[:, :, own] for of_run in self.columns]
+        return found
 
 
 def exact_responses(
@@ -64,6 +62,9 @@ def exact_responses(
         here: The set, with columns at its numbers.
         variants: One of each further effect.
         pool: Threads.
+
+    Returns:
+        The set's columns with those of the further effects behind.
     """
     taken = [1 + column for each in variants for column in each.columns]
     columns = [
@@ -118,26 +119,21 @@ def _slopes(
     rows: Sequence[int],
     pool: RunPool,
 ) -> list[np.ndarray]:
-    """By run, derivatives by (own log zeta, these coordinates of the common program).
+    """By run, derivatives by (own log zeta, `COLUMNS` coordinates) [m, N, N m].
 
-    `start` are its coordinates, shape (its free numbers,).
+    Args:
+        regressors: The runs.
+        here: The set.
+        start: Coordinates of the common program, shape (its free numbers,).
+        rows: Places of the coordinates among them; columns past these are zero.
+        pool: Threads.
+
+    Returns:
+        Each of shape (channels, samples, 1 + COLUMNS).
     """
-    dataset, common = regressors.dataset, regressors.common_model
+    common = regressors.common_model
     mix = np.zeros((len(start), COLUMNS))
     mix[rows, np.arange(len(rows))] = 1
     directions = Directions(common, ({},) * len(common.effects), start, mix, COLUMNS)
-    dataset.compile(pool, predict_with_jacobian, directions)
-
-    def of(run: int) -> np.ndarray:
-        _, slope = predict_with_jacobian(
-            directions,
-            dataset.channels,
-            dataset.trials[run],
-            dataset.observations[run],
-            as_real(here.log_zeta[run]),
-            np.zeros(COLUMNS),
-        )
-        counts = dataset.counts(run)
-        return slope[:, : len(counts)][:, counts]
-
-    return dataset.map(pool, of)
+    nothing = np.zeros(COLUMNS)  # added to the start
+    return regressors.dataset.derivatives(pool, directions, here.log_zeta, nothing)

@@ -143,7 +143,7 @@ def look_alikes(
 
 
 def _made_up(weighed: np.ndarray, variant: ShapeVariant) -> LookAlike:
-    """What a variant makes up for of the column behind zeta.
+    """Share of the column behind zeta that a variant makes up for, and the strengths by which.
 
     `weighed` are the runs' weighed gram matrices, zeta's column first, shape (runs, n, n).
     """

@@ -34,10 +34,8 @@ from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import (
     directions_within,
     predict,
-    predict_with_jacobian,
 )
 from diagnose.run_pool import RunPool
-from drftjax.common.arrays import as_real
 
 
 @dataclass(frozen=True)
@@ -119,23 +117,9 @@ def refine(
 
 def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypothesis:
     """The hypothesis with derivatives by the simulator itself, in forward mode, at its numbers."""
-    dataset = regressors.dataset
     directions = directions_within(here.model, regressors.common_model)
-    dataset.compile(pool, predict_with_jacobian, directions)
-
-    def of(run: int) -> np.ndarray:
-        _, slope = predict_with_jacobian(
-            directions,
-            dataset.channels,
-            dataset.trials[run],
-            dataset.observations[run],
-            as_real(here.log_zeta[run]),
-            here.coordinates,
-        )
-        counts = dataset.counts(run)
-        return slope[:, : len(counts)][:, counts]
-
-    return replace(here, columns=dataset.map(pool, of))
+    columns = regressors.dataset.derivatives(pool, directions, here.log_zeta, here.coordinates)
+    return replace(here, columns=columns)
 
 
 def gauss_newton_step(

@@ -271,7 +271,9 @@ class _Screening:
                 for each in race(self.regressors, starts, self.pool, limits, settings.refinement)
             ]
             place = len(best.names) - 1
-            by_size[place] = best_of_each([*by_size[place], *self.finish(tried)])
+            # A look-alike with which no run can be simulated says nothing.
+            refined = [each for each in self.finish(tried) if each.is_simulated]
+            by_size[place] = best_of_each([*by_size[place], *refined])
             if by_size[place][0].score < best.score + settings.min_round_gain:
                 break
             del by_size[place + 1 :]

@@ -55,6 +55,7 @@ def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     assert all(len(each.names) == 2 and each.proposed_step is not None for each in found)
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
     lag = next(each for each in found if each.names == ("drawbar", "speed_lag"))
+    assert lag.proposed_step is not None
     # It begins where it does what the filter did, not at its null; the pull stays as it was.
     assert lag.model.free[1].value(lag.proposed_step[1][1]) == pytest.approx(0.15, rel=0.3)
     assert lag.proposed_step[1][0] == 0
