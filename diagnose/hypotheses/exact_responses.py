@@ -4,7 +4,7 @@ Those of the regressors are taken about the reference model. Beside a lag, or an
 the runs' path, they are others, and rank effects wrongly whose response zeta all but makes up for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,11 @@ from drftjax.effects.catalogue import shapes, strengths
 COLUMNS = COLUMN_COUNTS[0]
 
 
+# Responses by further effect, by run: one column for each strength [m, N, N m], shape (channels,
+# samples, strengths).
+ResponsesOf = Mapping[str, list[np.ndarray]]
+
+
 @dataclass(frozen=True, eq=False)
 class FurtherResponses:
     """Responses to a set of effects and to further ones at their null beside it.
@@ -37,14 +42,31 @@ class FurtherResponses:
     variants: tuple[ShapeVariant, ...]
     columns: list[np.ndarray]
 
-    def by_name(self) -> dict[str, list[np.ndarray]]:
-        """By further effect, by run: its own columns, shape (channels, samples, strengths)."""
-        strengths_of_all = sum(len(each.columns) for each in self.variants)
-        found = {}
-        for each in self.variants:
-            own = [column - strengths_of_all for column in each.columns]  # from the last column
-            found[each.effect.about.name] = [of_run[:, :, own] for of_run in self.columns]
-        return found
+    @classmethod
+    def of(
+        cls,
+        regressors: Regressors,
+        here: Hypothesis,
+        variants: Sequence[ShapeVariant],
+        exact: ResponsesOf,
+    ) -> "FurtherResponses":
+        """A set's responses, with those of further effects; the regressors' where none is exact.
+
+        Args:
+            regressors: The runs.
+            here: The set, with columns at its numbers.
+            variants: One of each further effect.
+            exact: By the simulator, of these or of others.
+        """
+        behind, numbered, place = [], [], 0
+        for each in variants:
+            taken = [1 + column for column in each.columns]
+            known = [every[:, :, taken] for every in regressors.columns]
+            behind.append(exact.get(each.effect.about.name, known))
+            numbered.append(replace(each, columns=tuple(range(place, place + len(taken)))))
+            place += len(taken)
+        columns = [np.concatenate(run, axis=2) for run in zip(here.columns, *behind, strict=True)]
+        return cls(tuple(numbered), columns)
 
 
 def exact_responses(
@@ -52,45 +74,37 @@ def exact_responses(
     here: Hypothesis,
     variants: Sequence[ShapeVariant],
     pool: RunPool,
-) -> FurtherResponses:
-    """Differentiate the runs at a set's numbers by its own and by further effects' strengths.
-
-    Of an effect that the common program lacks, or beside a set with one, the regressors' stand.
+) -> ResponsesOf:
+    """Differentiate the runs at a set's numbers by further effects' strengths at their null.
 
     Args:
         regressors: The runs.
-        here: The set, with columns at its numbers.
+        here: The set.
         variants: One of each further effect.
         pool: Threads.
 
     Returns:
-        The set's columns with those of the further effects behind.
+        Of the effects that the common program has; of none beside a set with one that it lacks.
     """
-    taken = [1 + column for each in variants for column in each.columns]
-    columns = [
-        np.concatenate([own, known[:, :, taken]], axis=2)
-        for own, known in zip(here.columns, regressors.columns, strict=True)
-    ]
-    numbered, place = [], 0
-    for each in variants:
-        numbered.append(replace(each, columns=tuple(range(place, place + len(each.columns)))))
-        place += len(each.columns)
     common = regressors.common_model
-    if set(here.model.effects) <= set(common.effects):
-        rows = _rows(common)
-        wanted = [
-            (rows[each.effect, name], 1 + len(here.coordinates) + column)
-            for each in numbered
-            if each.effect in common.effects
-            for name, column in zip(strengths(each.effect), each.columns, strict=True)
+    if not set(here.model.effects) <= set(common.effects):
+        return {}
+    known = [each for each in variants if each.effect in common.effects]
+    places, start = _rows(common), _start(common, here, known)
+    rows = [places[each.effect, name] for each in known for name in strengths(each.effect)]
+    chunks = [
+        _slopes(regressors, here, start, rows[first : first + COLUMNS], pool)
+        for first in range(0, len(rows), COLUMNS)
+    ]
+    found, place = {}, 0
+    for each in known:
+        own = range(place, place + len(each.columns))
+        found[each.effect.about.name] = [
+            np.stack([chunks[k // COLUMNS][run][:, :, 1 + k % COLUMNS] for k in own], axis=2)
+            for run in regressors.dataset.run_numbers
         ]
-        start = _start(common, here, variants)
-        for first in range(0, len(wanted), COLUMNS):
-            some = wanted[first : first + COLUMNS]
-            slopes = _slopes(regressors, here, start, [row for row, _ in some], pool)
-            for own, slope in zip(columns, slopes, strict=True):
-                own[:, :, [column for _, column in some]] = slope[:, :, 1 : 1 + len(some)]
-    return FurtherResponses(tuple(numbered), columns)
+        place += len(each.columns)
+    return found
 
 
 def _rows(common: AugmentedModel) -> dict[tuple[type[AbstractEffect], str], int]:

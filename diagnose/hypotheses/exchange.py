@@ -5,6 +5,7 @@ and a filter of the instruments, the one that leads early may be the wrong one, 
 later makes up for it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,14 +24,24 @@ class ExchangeSettings:
     Attributes:
         min_alike: Share of an effect's response that another's makes up for, beside zeta, at least
             [-].
+        min_alike_at_floor: The same where the set leaves no gap: there only what does as well is
+            looked for.
+        max_deficit: Sets that were simulated already are not begun again where they are no further
+            behind the set in log score [-]; others may do better from another start.
         max_alike: Effects tried in the place of one, at most.
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
     """
 
     min_alike: float = 0.5
+    min_alike_at_floor: float = 0.8
+    max_deficit: float = 30.0
     max_alike: int = 5
     max_continued: int = 2
+
+    def where(self, leaves_gap: bool) -> "ExchangeSettings":
+        """The numbers for a set that leaves a gap, or none."""
+        return self if leaves_gap else replace(self, min_alike=self.min_alike_at_floor)
 
 
 DEFAULT_EXCHANGE = ExchangeSettings()
@@ -56,6 +67,7 @@ class LookAlike:
 def exchanged_sets(
     regressors: Regressors,
     best: Hypothesis,
+    known: Sequence[Hypothesis],
     pool: RunPool,
     settings: ExchangeSettings = DEFAULT_EXCHANGE,
 ) -> list[list[Hypothesis]]:
@@ -67,12 +79,20 @@ def exchanged_sets(
     Args:
         regressors: The runs.
         best: The set, simulated.
+        known: Sets that were simulated already.
         pool: Threads.
         settings: Numbers of the choice.
 
     Returns:
         By effect that is replaced.
     """
+    least = best.score - settings.max_deficit
+    tried = [frozenset(each.names) for each in known if each.score > least]
+
+    def is_new(names: tuple[str, ...]) -> bool:
+        whole = len(reported_names(names)) == len(names)  # no two forms of one effect
+        return whole and frozenset(names) not in tried
+
     found = []
     for place in range(len(best.model.effects)):
         kept = without_effect(best, place)
@@ -87,8 +107,7 @@ def exchanged_sets(
             [
                 _in_its_place(regressors, rest, each)
                 for each in alike
-                if len(reported_names((*rest.names, each.variant.effect.about.name)))
-                == len(best.names)
+                if is_new((*rest.names, each.variant.effect.about.name))
             ]
         )
     return found

@@ -57,7 +57,7 @@ class RefinementSettings:
     shape_unit: float = 0.3
     floor_shares: tuple[float, ...] = (0.3, 0.1, 0.03)
     min_step_share: float = 0.1
-    min_gain: float = 0.2
+    min_gain: float = 0.5
 
 
 DEFAULT_REFINEMENT = RefinementSettings()

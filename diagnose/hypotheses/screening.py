@@ -70,8 +70,8 @@ class ScreeningSettings:
         max_rounds: Times that derivatives are computed again, at most.
         simulations_per_round: Simulations with each, at most.
         min_round_gain: A further round is made while the last one gained this much log score [-].
-        hopeless_deficit: A hypothesis that is this far behind the best in log score, after as much
-            as the last round gained once more, gets none [-].
+        hopeless_deficit: A hypothesis that is this far behind the best in log score, by a linear
+            fit about it or after as much as the last round gained once more, gets none [-].
         far_from_floor: Strengths far from zero are tried one by one where the reference model
             misses a block by more than this many model errors [-].
         far_from_scatter: The same where the runs' zeta scatters by more than this many times the
@@ -264,15 +264,21 @@ class _Screening:
                 break
             done.add(frozenset(best.names))
             report(f"look-alikes in sets of {len(best.names)} effects")
-            by_place = exchanged_sets(self.regressors, best, self.pool, settings.exchange)
+            place = len(best.names) - 1
+            by_place = exchanged_sets(
+                self.regressors,
+                best,
+                by_size[place],
+                self.pool,
+                settings.exchange.where(self.leaves_gap(best)),
+            )
             tried = [
                 each
                 for starts in by_place
                 for each in race(self.regressors, starts, self.pool, limits, settings.refinement)
             ]
-            place = len(best.names) - 1
             # A look-alike with which no run can be simulated says nothing.
-            refined = [each for each in self.finish(tried) if each.is_simulated]
+            refined = [each for each in self.finish(tried, best.score) if each.is_simulated]
             by_size[place] = best_of_each([*by_size[place], *refined])
             if by_size[place][0].score < best.score + settings.min_round_gain:
                 break
@@ -404,16 +410,22 @@ class _Screening:
         exact = relinearize(self.regressors, best, self.pool)
         return self.refine(exact, self.settings.simulations_per_round)
 
-    def finish(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
-        """Refine the leading hypotheses to their end; return all of them, best first."""
+    def finish(self, hypotheses: list[Hypothesis], best_known: float = -np.inf) -> list[Hypothesis]:
+        """Refine the leading hypotheses to their end; return all of them, best first.
+
+        Args:
+            hypotheses: Simulated, most of them.
+            best_known: Log score of a rival that is refined already [-].
+        """
         regressors, pool, settings = self.regressors, self.pool, self.settings
         worth = pool.map_outer(lambda each: predicted_score(regressors, each, pool), hypotheses)
         ranked = sorted(zip(worth, hypotheses, strict=True), key=lambda each: -each[0])
         hypotheses = [each for _, each in ranked]
         done: list[Hypothesis] = []
-        for each in hypotheses[: settings.max_continued]:
-            best = max((other.score for other in done), default=-np.inf)
-            done.append(self.finish_one(each, best))
+        for predicted, each in ranked[: settings.max_continued]:
+            best = max([best_known, *(other.score for other in done)])
+            hopeless = each.is_simulated and predicted < best - settings.hopeless_deficit
+            done.append(each if hopeless else self.finish_one(each, best))
         return sorted(done + hypotheses[settings.max_continued :], key=lambda each: -each.score)
 
     def finish_one(self, here: Hypothesis, best_score: float) -> Hypothesis:

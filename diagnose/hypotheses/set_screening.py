@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from diagnose.hypotheses.exact_responses import exact_responses
+from diagnose.hypotheses.exact_responses import FurtherResponses, exact_responses
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     least_changes,
@@ -44,6 +44,7 @@ class SetScreeningSettings:
     Attributes:
         max_bases: Refined hypotheses that sets begin with, at most. Singles that look alike, such
             as two kinds of drag, lead with nearly one score.
+        max_deficit: Of these none that is further behind the best in log score [-].
         sets_per_round: Sets that are simulated in one round.
         max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
         far_from_floor: Another round is made while the best set misses a block by more than this
@@ -59,6 +60,7 @@ class SetScreeningSettings:
     """
 
     max_bases: int = 4
+    max_deficit: float = np.inf
     sets_per_round: int = 12
     max_rounds: int = 1
     far_from_floor: float = 5.0
@@ -75,8 +77,12 @@ DEFAULT_PAIRS = SetScreeningSettings()
 # A base of two effects or more is simulated and linearised again, so linear fits about it are
 # nearer to the truth than those about the reference model: fewer tries are enough.
 DEFAULT_LARGER_SETS = SetScreeningSettings(
-    max_bases=3, sets_per_round=8, max_continued=3, both_starts=1
+    max_bases=3, max_deficit=100.0, sets_per_round=8, max_continued=3, both_starts=1
 )
+
+
+# A further effect's shapes and its responses beside a set, by run, by its name.
+GivenResponses = dict[str, tuple[ShapeVariant, list[np.ndarray]]]
 
 
 @dataclass(frozen=True)
@@ -213,16 +219,19 @@ def set_candidates(
     """
     # Another form of an effect begins nothing that the better one does not.
     firsts: dict[tuple[str, ...], Hypothesis] = {}
+    best = bases[0]
     for each in top_ranked(bases, settings.max_bases):
-        firsts.setdefault(reported_names(each.names), each)
-    miss = bases[0].fit.mean_square
+        if each.score > best.score - settings.max_deficit:
+            firsts.setdefault(reported_names(each.names), each)
+    miss, rankings = best.fit.mean_square, settings.rankings
+    given = _exact_beside(regressors, best, miss, pool, rankings)
     orders = []
     for of_each in (
         [
             _with_refined(regressors, each, miss, singles, pool, settings)
             for each in firsts.values()
         ],
-        [_with_any(regressors, each, miss, pool, settings.rankings) for each in firsts.values()],
+        [_with_any(regressors, each, miss, pool, rankings, given) for each in firsts.values()],
     ):
         for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)
@@ -293,30 +302,65 @@ def _join_refined(
     return _join(first, other.model, null, other.columns, fit, (zeta, change))
 
 
+def _exact_beside(
+    regressors: Regressors,
+    best: Hypothesis,
+    miss: np.ndarray,
+    pool: RunPool,
+    rankings: Sequence[Ranking],
+) -> GivenResponses:
+    """Responses to further effects at the numbers of the best base; none beside a single effect.
+
+    The other bases are about as good, so they move the runs much as it does: its responses stand
+    for theirs, too.
+    """
+    if len(best.names) < 2:
+        return {}
+    leading = _leading_beside(regressors, best, miss, pool, rankings)
+    # Of each effect the shapes that do best by the last ranking.
+    chosen = {name: variant for name, (variant, _) in leading[-1].items()}
+    exact = exact_responses(regressors, best, list(chosen.values()), pool)
+    return {name: (chosen[name], responses) for name, responses in exact.items()}
+
+
+def _leading_beside(
+    regressors: Regressors,
+    first: Hypothesis,
+    miss: np.ndarray,
+    pool: RunPool,
+    rankings: Sequence[Ranking],
+) -> list[dict[str, tuple[ShapeVariant, LinearFit]]]:
+    """By ranking, the best variant of every other effect beside a base, and its linear fit."""
+    of_run = first.columns, first.residual, first.log_zeta
+    matrices = regressors.gram_matrices_beside_all(*of_run, pool)
+    others = [v for v in regressors.variants if v.effect.about.name not in first.names]
+    weights = regressors.settings
+    return best_variants(matrices, least_changes(first), others, miss, rankings, weights)
+
+
 def _with_any(
     regressors: Regressors,
     first: Hypothesis,
     miss: np.ndarray,
     pool: RunPool,
     rankings: Sequence[Ranking],
+    given: GivenResponses,
 ) -> list[list[SetCandidate]]:
-    """A base with any other effect from its null, by each of the rankings."""
-    of_run = first.columns, first.residual, first.log_zeta
-    matrices = regressors.gram_matrices_beside_all(*of_run, pool)
-    others = [v for v in regressors.variants if v.effect.about.name not in first.names]
-    lower, weights = least_changes(first), regressors.settings
-    best = best_variants(matrices, lower, others, miss, rankings, weights)
-    # Of each effect the shapes that do best by the last ranking.
-    chosen = {name: variant for name, (variant, _) in best[-1].items()}
-    exact: dict[str, list[np.ndarray]] = {}
-    if len(first.names) > 1:
-        further = exact_responses(regressors, first, list(chosen.values()), pool)
-        matrices = regressors.gram_matrices_of(
-            further.columns, first.residual, first.log_zeta, pool
-        )
-        best = best_variants(matrices, lower, further.variants, miss, rankings, weights)
+    """A base with any other effect from its null, by each of the rankings.
+
+    `given` responses take the place of the regressors'.
+    """
+    best = _leading_beside(regressors, first, miss, pool, rankings)
+    exact = {name: responses for name, (_, responses) in given.items()}
+    if given:
+        chosen = {name: variant for name, (variant, _) in best[-1].items()}
+        chosen |= {name: variant for name, (variant, _) in given.items() if name in chosen}
+        further = FurtherResponses.of(regressors, first, list(chosen.values()), exact)
+        of_run = further.columns, first.residual, first.log_zeta
+        matrices, weights = regressors.gram_matrices_of(*of_run, pool), regressors.settings
+        of_each = further.variants, miss, rankings, weights
+        best = best_variants(matrices, least_changes(first), *of_each)
         best = [{name: (chosen[name], fit) for name, (_, fit) in each.items()} for each in best]
-        exact = further.by_name()
     found = []
     for leading in best:
         order = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import match_initial_zeta
-from diagnose.hypotheses.exact_responses import exact_responses
+from diagnose.hypotheses.exact_responses import FurtherResponses, exact_responses
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.set_screening import joined_from_null
@@ -65,7 +65,7 @@ def _difference(regressors: Regressors, here: Hypothesis, name: str, run: int) -
 @pytest.mark.parametrize("name", [each for each in FURTHER if each not in SLOW_EFFECTS])
 def test_responses_beside_a_set_are_those_of_the_simulator(regressors, here, pool, name):
     variants = [_variant(regressors, each) for each in FURTHER]
-    found = exact_responses(regressors, here, variants, pool).by_name()[name]
+    found = exact_responses(regressors, here, variants, pool)[name]
     for run, own in enumerate(found):
         expected = _difference(regressors, here, name, run)
         error = np.abs(own[:, :, 0] - expected).max(axis=1)
@@ -83,24 +83,30 @@ def test_responses_about_the_reference_model_are_others(regressors, here):
 
 def test_what_the_common_program_lacks_keeps_its_response(regressors, here, pool):
     variants = [_variant(regressors, each) for each in FURTHER]
-    found = exact_responses(regressors, here, variants, pool).by_name()["rate_hardening"]
+    exact = exact_responses(regressors, here, variants, pool)
+    assert sorted(exact) == sorted({*FURTHER} - {*SLOW_EFFECTS})
+    found = FurtherResponses.of(regressors, here, variants, exact)
+    place = FURTHER.index("rate_hardening")
+    assert [each.columns for each in found.variants] == [(k,) for k in range(len(FURTHER))]
     column = 1 + _variant(regressors, "rate_hardening").columns[0]
-    assert (found[0][:, :, 0] == regressors.columns[0][:, :, column]).all()
+    behind = found.columns[0][:, :, -len(FURTHER) :]
+    assert (behind[:, :, place] == regressors.columns[0][:, :, column]).all()
+    assert (behind[:, :, 0] == exact[FURTHER[0]][0][:, :, 0]).all()
 
 
 def test_a_set_with_such_an_effect_keeps_all(regressors, pool):
     names = ("horizontal_coulomb", "rate_hardening")
     beside = linear_start(regressors, [_variant(regressors, name) for name in names])
     variant = _variant(regressors, "sinkage_gain")
-    found = exact_responses(regressors, beside, [variant], pool)
-    (own,) = found.by_name().values()
-    assert (own[0][:, :, 0] == regressors.columns[0][:, :, 1 + variant.columns[0]]).all()
-    assert [each.columns for each in found.variants] == [(0,)]
+    assert exact_responses(regressors, beside, [variant], pool) == {}
+    found = FurtherResponses.of(regressors, beside, [variant], {})
+    known = regressors.columns[0][:, :, 1 + variant.columns[0]]
+    assert (found.columns[0][:, :, -1] == known).all()
 
 
 def test_an_effect_joins_with_its_exact_response(regressors, here, pool):
     variant = _variant(regressors, "loosening")
-    exact = exact_responses(regressors, here, [variant], pool).by_name()["loosening"]
+    exact = exact_responses(regressors, here, [variant], pool)["loosening"]
     count = len(here.coordinates)
     fit = linear_start(regressors, [variant]).fit
     both = np.r_[np.zeros(count), fit.coefficients]

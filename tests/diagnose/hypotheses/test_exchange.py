@@ -50,7 +50,7 @@ def test_friction_is_the_look_alike_of_a_pull(regressors, wrong, pool):
 
 
 def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
-    by_place = exchanged_sets(regressors, wrong, pool)
+    by_place = exchanged_sets(regressors, wrong, [wrong], pool)
     found = [each for alike in by_place for each in alike]
     assert all(len(each.names) == 2 and each.proposed_step is not None for each in found)
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
@@ -65,6 +65,18 @@ def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     assert exact.model.free[1].field == "lag"
     # A pull stands for friction, which three short runs hardly tell apart: a tenth.
     assert exact.model.free[1].value(exact.coordinates[1]) == pytest.approx(0.15, rel=0.1)
+
+
+def test_sets_that_do_about_as_well_are_not_begun_again(regressors, wrong, pool):
+    known = replace(
+        wrong,
+        model=AugmentedModel((effect_class("drawbar"), effect_class("speed_lag"))),
+        fit=replace(wrong.fit, score=wrong.score - 1),
+    )
+    far_behind = replace(known, fit=replace(wrong.fit, score=wrong.score - 1000))
+    for others, begun in (([known], False), ([far_behind], True), ([], True)):
+        by_place = exchanged_sets(regressors, wrong, others, pool)
+        assert (("drawbar", "speed_lag") in [e.names for a in by_place for e in a]) == begun
 
 
 def test_a_set_that_was_found_twice_is_weighed_once(wrong):
