@@ -156,7 +156,8 @@ class ScoredSet:
         """True for each share that the budget states within the tolerance.
 
         Shares of effects that are there, and of those that the answer names besides, whose true
-        share is zero, in every channel with a gap to share out. Empty without a budget.
+        share is zero, in every channel with a gap to share out. A group has one joint share, that
+        of the effect which is named. Empty without a budget.
         """
         if self.answer.budget is None:
             return []
@@ -167,12 +168,25 @@ class ScoredSet:
             if given is not None and not is_reducible(truth["before"], given.floor):
                 continue
             shares = {} if given is None else {n: e.share for n, e in given.effects.items()}
-            true = {name: each["share"] for name, each in truth["effects"].items()}
+            true: dict[str, float] = {}
+            for name, each in truth["effects"].items():
+                stated_as = self._stated_as(name)
+                true[stated_as] = true.get(stated_as, 0.0) + each["share"]
             within += [
                 abs(shares.get(name, 0.0) - true.get(name, 0.0)) <= self.settings.budget_tolerance
                 for name in sorted({*true, *shares})
             ]
         return within
+
+    def _stated_as(self, name: str) -> str:
+        """The effect that the answer names for one of the set: itself, or the first of its group.
+
+        Where that one is in the set too, it speaks for itself alone.
+        """
+        firsts = (
+            each[0] for each in self.answer.groups if name in each and each[0] not in self.true
+        )
+        return name if name in self.answer.named() else next(firsts, name)
 
     @property
     def size_is_right(self) -> bool | None:

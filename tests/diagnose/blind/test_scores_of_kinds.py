@@ -72,6 +72,20 @@ def test_several_effects_are_counted_one_by_one():
     assert (row["budget_shares"]["hits"], row["budget_shares"]["of"]) == (3, 7)
 
 
+def test_a_group_has_one_joint_share():
+    answer = Answer(
+        ["excavation", "drawbar"],
+        {},
+        [["excavation", "loosening"], ["drawbar", "sinkage_gain"]],
+        budget=BudgetAnswer({"z": shares(0.1, excavation=0.32, drawbar=0.6)}),
+    )
+    label = {**SEVERAL, "budget": {"channels": {"z": SEVERAL["budget"]["channels"]["z"]}}}
+    row = score_answers({"s": label}, {"s": answer})["kinds"]["several"]
+    # excavation stands for loosening (0.32 of 0.35); drawbar, which is there, for itself alone
+    # (0.6 of -0.05), and sinkage_gain is missed (0 of 0.7).
+    assert (row["budget_shares"]["hits"], row["budget_shares"]["of"]) == (1, 3)
+
+
 def test_no_share_is_asked_of_a_channel_without_a_gap_nor_of_an_answer_without_a_budget():
     quiet = Answer(["drawbar"], budget=BudgetAnswer({"x": shares(1.9), "z": shares(0.9)}))
     row = score_answers({"s": SEVERAL}, {"s": quiet})["kinds"]["several"]
