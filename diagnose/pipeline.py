@@ -43,12 +43,12 @@ from diagnose.result import Diagnosis, ParameterEstimate
 from diagnose.run_pool import RunPool
 from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
 from diagnose.selection.verdict import (
+    believing_listed,
     competing_hypotheses,
     decide,
     hypothesis_behind,
     reassign_unknown,
     weight_by_name,
-    with_remainder,
 )
 from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
@@ -174,7 +174,8 @@ class _Diagnosing:
             weighed = self.without_set(weighed)
             gap = self.measure_gap(weighed, reference)
         if weighed.verdict == (UNKNOWN,) and gap.selected.explains_most(settings.selection):
-            weighed = self.named_with_remainder(weighed)
+            weighed = self.believing_listed(weighed, gap.selected.leaves_gap)
+            gap = self.measure_gap(weighed, reference)
         competing = competing_hypotheses(
             found, weighed.leading, weighed.share, weighed.verdict, settings.verdict
         )
@@ -266,11 +267,13 @@ class _Diagnosing:
         chosen = hypothesis_behind(found, leading, share, verdict)
         return _Weighed(found, leading, held_out, share, verdict, groups, chosen)
 
-    def named_with_remainder(self, weighed: _Weighed) -> _Weighed:
-        """The verdict of the likeliest listed effects, beside which something more acts."""
-        names = weighed.chosen.names
-        share = with_remainder(weighed.share, names, self.settings.verdict)
-        return replace(weighed, share=share, verdict=names, groups=[[name] for name in names])
+    def believing_listed(self, weighed: _Weighed, leaves_gap: bool) -> _Weighed:
+        """The verdict of the listed effects, which explain most of the gap."""
+        settings = self.settings.verdict
+        share = believing_listed(weighed.share, leaves_gap, settings)
+        verdict, groups = decide(share, settings)
+        chosen = hypothesis_behind(weighed.screening, weighed.leading, share, verdict)
+        return replace(weighed, share=share, verdict=verdict, groups=groups, chosen=chosen)
 
     def without_set(self, weighed: _Weighed) -> _Weighed:
         """The weights without the verdict's set, which makes a channel worse."""

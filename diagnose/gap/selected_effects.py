@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from diagnose.gap.gap import Gap
+from diagnose.gap.gap import Gap, is_reducible
 from diagnose.gap.zeta_matching import MatchedRun, residuals_of
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.model.augmented_model import AugmentedModel
@@ -84,6 +84,11 @@ class SelectedEffects:
             and all(each.shrinkage >= settings.explained_share for each in parts)
             and self.worsens_no_channel(settings)
         )
+
+    @property
+    def leaves_gap(self) -> bool:
+        """True where some channel's gap stays far enough above its floor to be reduced."""
+        return any(is_reducible(g.after, g.floor, g.settings) for g in self.gap.values())
 
     def improves_gap(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
         """True where the gap shrinks by enough, and not at the cost of a channel."""

@@ -30,9 +30,8 @@ class VerdictSettings:
             none.
         min_competing_weight: An explanation that has less weight than this needs no run that tells
             it from the verdict [-].
-        remainder_weight: Share of the weight of `unknown` that goes to effects which explain most
-            of a large gap [-]. No blind test has measured how often they are right; this is under
-            what a confident answer has.
+        listed_share: Share of the weight of `unknown` that goes to effects which explain most of a
+            large gap [-]: about as often such an effect is right.
         max_retries: Sets of effects that are dropped at most because they make a channel worse.
         max_competing: One run is asked to tell the verdict from so many at most.
     """
@@ -41,7 +40,7 @@ class VerdictSettings:
     min_named_weight: float = 0.1
     alarm_ratio: float = 4.5
     min_competing_weight: float = 0.02
-    remainder_weight: float = 0.7
+    listed_share: float = 0.7
     max_retries: int = 3
     max_competing: int = 3
 
@@ -148,22 +147,27 @@ def reassign_unknown(share: Weights, name: str) -> dict[tuple[str, ...], float]:
     return {**share, **dict.fromkeys(unknown, 0.0), (name,): moved}
 
 
-def with_remainder(
-    share: Weights, names: tuple[str, ...], settings: VerdictSettings = DEFAULT_VERDICT
+def believing_listed(
+    share: Weights, leaves_gap: bool, settings: VerdictSettings = DEFAULT_VERDICT
 ) -> dict[tuple[str, ...], float]:
-    """Weights after most of that of `unknown` went to a set of effects with a remainder.
+    """Weights after most of that of `unknown` went to the sets of effects, in proportion to theirs.
 
-    Where the set explains most of a large gap: the runs show it, and something more.
+    Where the likeliest set explains most of a large gap: what is outside the list hardly ever looks
+    so much like what is on it.
 
     Args:
         share: Weights with `unknown`.
-        names: Effects of the set.
+        leaves_gap: The set leaves a gap: something acts beside it.
         settings: Numbers of the verdict.
     """
-    moved = settings.remainder_weight * share[(UNKNOWN,)]
-    beside = (*names, UNKNOWN)
-    left = share[(UNKNOWN,)] - moved
-    return {**share, beside: share.get(beside, 0.0) + moved, (UNKNOWN,): left}
+    by_set = weight_by_set({k: w for k, w in share.items() if k not in ((NONE,), (UNKNOWN,))})
+    moved = settings.listed_share * share[(UNKNOWN,)]
+    believed = {**share, (UNKNOWN,): share[(UNKNOWN,)] - moved}
+    for names, weight in by_set.items():
+        whole = (*names, UNKNOWN) if leaves_gap else names
+        part = weight / sum(by_set.values())
+        believed[whole] = believed.get(whole, 0.0) + moved * part
+    return believed
 
 
 def weight_by_name(share: Weights) -> dict[str, float]:

@@ -27,10 +27,10 @@ from diagnose.selection.model_weights import (
     weights,
 )
 from diagnose.selection.verdict import (
+    believing_listed,
     competing_hypotheses,
     decide,
     weight_by_name,
-    with_remainder,
 )
 from drftjax.effects.catalogue import effect_class
 from drftjax.effects.drive import SpeedGain, SpeedRipple
@@ -312,7 +312,7 @@ def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
     assert whole[("drawbar",)] > 0.9
 
 
-def test_effects_that_explain_most_of_a_large_gap_are_named_beside_a_remainder():
+def test_effects_explain_most_of_a_large_gap():
     def selected(*gaps: tuple[float, float]) -> SelectedEffects:
         found = {
             name: Gap(before, after, 1.0, shrinkage(before, after, 1.0), None)
@@ -324,11 +324,26 @@ def test_effects_that_explain_most_of_a_large_gap_are_named_beside_a_remainder()
     assert not selected((50.0, 3.0), (5.0, 2.2)).explains_most()  # z: under three quarters
     assert not selected((4.0, 1.0), (3.0, 1.0)).explains_most()  # not large
     assert not selected((50.0, 3.0), (1.0, 1.3)).explains_most()  # z gets worse
-    share = {("none",): 0.0, ("drawbar",): 0.0, ("unknown",): 0.9, ("drawbar", "unknown"): 0.1}
-    moved = with_remainder(share, ("drawbar",))
-    assert sum(moved.values()) == pytest.approx(1.0)
-    assert decide(moved)[0] == ("drawbar",)
-    assert weight_by_name(moved) == pytest.approx({"unknown": 1.0, "drawbar": 0.73, "none": 0.0})
+    assert selected((50.0, 3.0), (5.0, 1.2)).leaves_gap
+    assert not selected((50.0, 1.4), (5.0, 1.2)).leaves_gap  # half a floor is chance
+
+
+def test_most_of_the_weight_of_unknown_goes_to_listed_sets_in_proportion():
+    share = {
+        ("none",): 0.0,
+        ("unknown",): 0.9,
+        ("drawbar",): 0.02,
+        ("drawbar", "unknown"): 0.04,
+        ("horizontal_coulomb",): 0.04,
+    }
+    for leaves_gap, unknown in ((False, 0.31), (True, 0.94)):
+        moved = believing_listed(share, leaves_gap)
+        assert sum(moved.values()) == pytest.approx(1.0)
+        assert decide(moved) == (("drawbar",), [["drawbar", "horizontal_coulomb"]])
+        # 0.06 and 0.04 of their own, and six and four tenths of 0.63.
+        assert weight_by_name(moved) == pytest.approx(
+            {"unknown": unknown, "drawbar": 0.438, "horizontal_coulomb": 0.292, "none": 0.0}
+        )
 
 
 def test_effects_that_share_their_weight_speak_together():

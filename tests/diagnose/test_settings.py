@@ -76,7 +76,8 @@ def test_a_weight_and_a_threshold_change_the_verdict(sloping):
     # The slope explains nearly all of a large gap, and is named beside what is believed in.
     beside = diagnose(sloping, [SurfaceSlope], settings=DiagnosisSettings(weights=prior))
     assert beside.verdict == ("surface_slope",)
-    assert beside.weights[UNKNOWN] > VerdictSettings().remainder_weight
+    share = VerdictSettings().listed_share
+    assert beside.weights["surface_slope"] == pytest.approx(share, abs=0.01)
     cautious = DiagnosisSettings(
         verdict=VerdictSettings(alarm_ratio=1e12), held_out=HeldOutSettings(1, 0)
     )
