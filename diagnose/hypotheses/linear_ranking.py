@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.hypotheses.hypothesis import lower_bounds
+from diagnose.hypotheses.hypothesis import linear_fit_of, lower_bounds
 from diagnose.linear.linear_fit import (
     FitRequest,
     GramMatrices,
@@ -13,7 +13,7 @@ from diagnose.linear.linear_fit import (
     fit_each,
     floor_inflation,
 )
-from diagnose.linear.regressors import ShapeVariant
+from diagnose.linear.regressors import Regressors, ShapeVariant
 
 # Numbers of a ranking by linear fits: the share of the worst block's RMS in model errors that model
 # errors are raised to, and the share of a response that may be wrong for being linear.
@@ -72,3 +72,41 @@ def best_variants(
                 if name not in leading or fit.score > leading[name][1].score:
                     leading[name] = variant, fit
     return best
+
+
+def ranked_effects(
+    regressors: Regressors, rankings: Sequence[Ranking], least_count: int, min_gain: float
+) -> list[tuple[ShapeVariant, LinearFit]]:
+    """The best variant of each effect that gains, the rankings taking turns.
+
+    Args:
+        regressors: The runs.
+        rankings: Numbers of the fits.
+        least_count: So many come in any case.
+        min_gain: The others only where a linear fit by one of the rankings gains more log score
+            than this over one without an effect [-].
+
+    Returns:
+        Variants, each with its fit by the ranking that named it first.
+    """
+    matrices, weights = regressors.gram_matrices, regressors.settings
+    miss = linear_fit_of(regressors, []).mean_square
+    each_of = regressors.variants, miss, rankings, weights
+    orders = []
+    gaining: set[str] = set()
+    for best, (share, linear_error) in zip(
+        best_variants(matrices, np.zeros(0), *each_of), rankings, strict=True
+    ):
+        inflation = floor_inflation(matrices.blocks, miss, share, weights)
+        without = linear_fit_of(regressors, [], inflation, linear_error).score
+        orders.append(sorted(best.values(), key=lambda each: -each[1].score))
+        gaining |= {name for name, (_, fit) in best.items() if fit.score > without + min_gain}
+    found: dict[str, tuple[ShapeVariant, LinearFit]] = {}
+    for turn in zip(*orders, strict=True):
+        for variant, fit in turn:
+            found.setdefault(variant.effect.about.name, (variant, fit))
+    return [
+        each
+        for place, (name, each) in enumerate(found.items())
+        if place < least_count or name in gaining
+    ]

@@ -17,8 +17,8 @@ from diagnose.dataset import (
     match_initial_zeta,
 )
 from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings, exchanged_sets
-from diagnose.hypotheses.hypothesis import Hypothesis, linear_fit_of, linear_start
-from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_variants
+from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
+from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, ranked_effects
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
@@ -60,7 +60,8 @@ class ScreeningSettings:
         min_simulated: Number of effects, ranked by the linear score, that are refined by simulation
             at least, even where no linear fit gains anything: linear fits may order effects, not
             decide.
-        max_simulated: The same, at most.
+        max_simulated: The same, at most. Where the reference model is far off linear fits do not
+            order effects either, and all that gain are simulated.
         min_linear_gain: Beyond `min_simulated` an effect is simulated where a linear fit with it
             gains more log score than this over one without [-].
         rankings: Linear fits rank effects once by each of these, which take turns.
@@ -72,9 +73,9 @@ class ScreeningSettings:
         min_round_gain: A further round is made while the last one gained this much log score [-].
         hopeless_deficit: A hypothesis that is this far behind the best in log score, by a linear
             fit about it or after as much as the last round gained once more, gets none [-].
-        far_from_floor: Strengths far from zero are tried one by one where the reference model
-            misses a block by more than this many model errors [-].
-        far_from_scatter: The same where the runs' zeta scatters by more than this many times the
+        far_from_floor: The reference model is far off where it misses a block by more than this
+            many model errors [-]: there strengths far from zero are tried one by one, too.
+        far_from_scatter: Likewise where the runs' zeta scatters by more than this many times the
             bed's scatter [-].
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
@@ -205,14 +206,17 @@ class _Screening:
     def screen(self, none: Hypothesis, report: Report) -> ScreeningResult:
         """Rank, simulate and join the effects."""
         report("screening")
-        settings, ranked = self.settings, self.rank()
+        is_far = self.is_far(none)
+        ranked = ranked_effects(
+            self.regressors,
+            self.settings.rankings,
+            self.settings.min_simulated,
+            self.settings.min_linear_gain,
+        )
+        ranked = ranked[: None if is_far else self.settings.max_simulated]
         report(f"simulating the leading {len(ranked)} effects")
         singles = self.simulate_singles(ranked)
-        blocks = self.regressors.gram_matrices.blocks
-        weights = self.regressors.settings
-        miss = floor_inflation(blocks, none.fit.mean_square, 1.0, weights)
-        beyond = none.fit.zeta_variance > (settings.far_from_scatter * weights.bed.scatter) ** 2
-        if miss > settings.far_from_floor or beyond:
+        if is_far:
             singles = self.with_large_strengths(singles)
         singles = self.finish(singles)
         by_size: list[list[Hypothesis]] = [singles, []]
@@ -224,6 +228,14 @@ class _Screening:
             self.take_out_further(by_size)
         singles, pairs, *larger = map(tuple, by_size)
         return ScreeningResult(self.regressors, none, singles, pairs, tuple(larger))
+
+    def is_far(self, none: Hypothesis) -> bool:
+        """Tell whether the reference model is so far off that linear fits say little."""
+        settings, weights = self.settings, self.regressors.settings
+        blocks = self.regressors.gram_matrices.blocks
+        miss = floor_inflation(blocks, none.fit.mean_square, 1.0, weights)
+        most = settings.far_from_scatter * weights.bed.scatter
+        return miss > settings.far_from_floor or none.fit.zeta_variance > most**2
 
     def add_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
         """Add one effect after another to the best sets while that pays.
@@ -344,33 +356,6 @@ class _Screening:
         """Simulate the leading sets that begin with one of the bases."""
         refinement = self.settings.refinement
         return refine_sets(self.regressors, bases, singles, self.pool, settings, refinement)
-
-    def rank(self) -> list[tuple[ShapeVariant, LinearFit]]:
-        """The leading effects' best variants by linear fits, the rankings taking turns."""
-        regressors, settings = self.regressors, self.settings
-        matrices, weights = regressors.gram_matrices, regressors.settings
-        miss = linear_fit_of(regressors, []).mean_square
-        each_of = regressors.variants, miss, settings.rankings, weights
-        orders = []
-        gaining: set[str] = set()
-        for best, (share, linear_error) in zip(
-            best_variants(matrices, np.zeros(0), *each_of), settings.rankings, strict=True
-        ):
-            inflation = floor_inflation(matrices.blocks, miss, share, weights)
-            without = linear_fit_of(regressors, [], inflation, linear_error).score
-            orders.append(sorted(best.values(), key=lambda each: -each[1].score))
-            least = without + settings.min_linear_gain
-            gaining |= {name for name, (_, fit) in best.items() if fit.score > least}
-        found: dict[str, tuple[ShapeVariant, LinearFit]] = {}
-        for turn in zip(*orders, strict=True):
-            for variant, fit in turn:
-                found.setdefault(variant.effect.about.name, (variant, fit))
-        leading = [
-            each
-            for place, (name, each) in enumerate(found.items())
-            if place < settings.min_simulated or name in gaining
-        ]
-        return leading[: settings.max_simulated]
 
     def simulate_singles(
         self, ranked: Sequence[tuple[ShapeVariant, LinearFit]]
