@@ -84,16 +84,14 @@ def exact_responses(
         pool: Threads.
 
     Returns:
-        Of the effects that the common program has; of none beside a set with one that it lacks.
+        Of the effects that the program has by which the set is differentiated.
     """
-    common = regressors.common_model
-    if not set(here.model.effects) <= set(common.effects):
-        return {}
-    known = [each for each in variants if each.effect in common.effects]
-    places, start = _rows(common), _start(common, here, known)
+    whole = regressors.common_model_with(here.model.effects)
+    known = [each for each in variants if each.effect in whole.effects]
+    places, start = _rows(whole), _start(whole, here, known)
     rows = [places[each.effect, name] for each in known for name in strengths(each.effect)]
     chunks = [
-        _slopes(regressors, here, start, rows[first : first + COLUMNS], pool)
+        _slopes(regressors, here, whole, start, rows[first : first + COLUMNS], pool)
         for first in range(0, len(rows), COLUMNS)
     ]
     found, place = {}, 0
@@ -107,20 +105,18 @@ def exact_responses(
     return found
 
 
-def _rows(common: AugmentedModel) -> dict[tuple[type[AbstractEffect], str], int]:
-    """Place of each number of the common program, by effect and name."""
-    return {(common.effects[f.index], f.field): row for row, f in enumerate(common.free)}
+def _rows(whole: AugmentedModel) -> dict[tuple[type[AbstractEffect], str], int]:
+    """Place of each number of a model, by effect and name."""
+    return {(whole.effects[f.index], f.field): row for row, f in enumerate(whole.free)}
 
 
-def _start(
-    common: AugmentedModel, here: Hypothesis, variants: Sequence[ShapeVariant]
-) -> np.ndarray:
-    """Coordinates of the common program at a set's numbers, the other effects at their null."""
-    start, rows = common.null(), _rows(common)
+def _start(whole: AugmentedModel, here: Hypothesis, variants: Sequence[ShapeVariant]) -> np.ndarray:
+    """Coordinates of a whole model at a set's numbers, the other effects at their null."""
+    start, rows = whole.null(), _rows(whole)
     for free, value in zip(here.model.free, here.coordinates, strict=True):
         start[rows[here.model.effects[free.index], free.field]] = value
     for each in variants:
-        if each.effect in common.effects:
+        if each.effect in whole.effects:
             for name, value in zip(shapes(each.effect), each.shapes, strict=True):
                 start[rows[each.effect, name]] = np.log(value)
     return start
@@ -129,6 +125,7 @@ def _start(
 def _slopes(
     regressors: Regressors,
     here: Hypothesis,
+    whole: AugmentedModel,
     start: np.ndarray,
     rows: Sequence[int],
     pool: RunPool,
@@ -138,16 +135,16 @@ def _slopes(
     Args:
         regressors: The runs.
         here: The set.
-        start: Coordinates of the common program, shape (its free numbers,).
+        whole: The model that is differentiated.
+        start: Its coordinates, shape (its free numbers,).
         rows: Places of the coordinates among them; columns past these are zero.
         pool: Threads.
 
     Returns:
         Each of shape (channels, samples, 1 + COLUMNS).
     """
-    common = regressors.common_model
     mix = np.zeros((len(start), COLUMNS))
     mix[rows, np.arange(len(rows))] = 1
-    directions = Directions(common, ({},) * len(common.effects), start, mix, COLUMNS)
+    directions = Directions(whole, ({},) * len(whole.effects), start, mix, COLUMNS)
     nothing = np.zeros(COLUMNS)  # added to the start
     return regressors.dataset.derivatives(pool, directions, here.log_zeta, nothing)

@@ -135,6 +135,12 @@ class Regressors:
         effects = dict.fromkeys(each.effect for each in self.variants)
         return AugmentedModel(tuple(e for e in effects if e.about.name not in SLOW_EFFECTS))
 
+    def common_model_with(self, effects: Sequence[type[AbstractEffect]]) -> AugmentedModel:
+        """The same with those of some effects that it lacks, each of which makes it slower."""
+        common = self.common_model
+        lacking = tuple(sorted({*effects} - {*common.effects}, key=lambda e: e.about.name))
+        return AugmentedModel(common.effects + lacking) if lacking else common
+
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:
         """Logarithm of the zeta that each run's log zeta counts from, shape (runs,)."""
