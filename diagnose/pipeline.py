@@ -19,7 +19,7 @@ from diagnose.gap.discretization_error import (
     changes_with_finer_plates,
     discretization_errors,
 )
-from diagnose.gap.gap import gaps
+from diagnose.gap.gap import Gap, gaps
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.one_zeta import one_zeta_gaps, zeta_shares
 from diagnose.gap.repeatability import repeat_variance
@@ -176,6 +176,12 @@ class _Diagnosing:
         if weighed.verdict == (UNKNOWN,) and gap.selected.explains_most(settings.selection):
             weighed = self.believing_listed(weighed, gap.selected.leaves_gap)
             gap = self.measure_gap(weighed, reference)
+        one_zeta = self.one_zeta_gap(weighed, gap)
+        every_gap = (*gap.selected.gap.values(), *one_zeta.values())
+        if weighed.verdict != (NONE,) and not any(each.is_reducible for each in every_gap):
+            weighed = self.without_a_gap(weighed)
+            gap = self.measure_gap(weighed, reference)
+            one_zeta = self.one_zeta_gap(weighed, gap)
         competing = competing_hypotheses(
             found, weighed.leading, weighed.share, weighed.verdict, settings.verdict
         )
@@ -229,14 +235,7 @@ class _Diagnosing:
                 else []
             ),
             budget=self.budget(weighed, gap, errors),
-            one_zeta_gap=one_zeta_gaps(
-                found.regressors,
-                reference.prediction,
-                gap.prediction,
-                gap.floors,
-                self.pool,
-                settings.gap,
-            ),
+            one_zeta_gap=one_zeta,
             zeta_shares=zeta_shares(found.regressors),
         )
 
@@ -274,6 +273,16 @@ class _Diagnosing:
         verdict, groups = decide(share, settings)
         chosen = hypothesis_behind(weighed.screening, weighed.leading, share, verdict)
         return replace(weighed, share=share, verdict=verdict, groups=groups, chosen=chosen)
+
+    def without_a_gap(self, weighed: _Weighed) -> _Weighed:
+        """The verdict where no channel has a gap: there is nothing that an effect would explain."""
+        verdict, groups = decide(weighed.share, self.settings.verdict, has_gap=False)
+        return replace(weighed, verdict=verdict, groups=groups, chosen=weighed.screening.none)
+
+    def one_zeta_gap(self, weighed: _Weighed, gap: _MeasuredGap) -> dict[str, Gap]:
+        """The gap of each channel with one zeta for the bed."""
+        regressors, both = weighed.screening.regressors, (gap.reference.prediction, gap.prediction)
+        return one_zeta_gaps(regressors, *both, gap.floors, self.pool, self.settings.gap)
 
     def without_set(self, weighed: _Weighed) -> _Weighed:
         """The weights without the verdict's set, which makes a channel worse."""

@@ -49,7 +49,7 @@ DEFAULT_VERDICT = VerdictSettings()
 
 
 def decide(
-    share: Weights, settings: VerdictSettings = DEFAULT_VERDICT
+    share: Weights, settings: VerdictSettings = DEFAULT_VERDICT, has_gap: bool = True
 ) -> tuple[tuple[str, ...], list[list[str]]]:
     """The verdict, and the groups of names that cannot be told from each of its effects.
 
@@ -61,11 +61,12 @@ def decide(
     Args:
         share: Weights that sum to one.
         settings: Numbers of the verdict.
+        has_gap: Some channel has a gap; else it is `none`, whatever the weights.
 
     Returns:
         Names of the verdict, and for each of them a group that begins with it.
     """
-    ranked = _speaking_together(share, settings)
+    ranked = _speaking_together(share, settings) if has_gap else _with_first(share, NONE)
     verdict, whole = ranked[0][0], _total(ranked)
     kept = named_together(ranked, settings.group_weight * whole, settings.min_named_weight)
     return verdict, [_group(first, verdict, kept[1:]) for first in verdict]
@@ -116,8 +117,13 @@ def _speaking_together(
         sizes = {len(names) for names, _ in effects}
         by_size = [[each for each in effects if len(each[0]) == size] for size in sizes]
         return max(by_size, key=_total)
-    stands = (NONE,) if none >= unknown else (UNKNOWN,)
-    return sorted(ranked, key=lambda each: each[0] != stands)
+    return _with_first(share, NONE if none >= unknown else UNKNOWN)
+
+
+def _with_first(share: Weights, stands: str) -> list[tuple[tuple[str, ...], float]]:
+    """All explanations, heaviest first, but none or unknown in front."""
+    ranked = list(weight_by_set(share).items())
+    return sorted(ranked, key=lambda each: each[0] != (stands,))
 
 
 def _group(first: str, verdict: tuple[str, ...], others: Sequence[tuple[str, ...]]) -> list[str]:

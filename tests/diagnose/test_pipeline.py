@@ -353,6 +353,13 @@ def test_effects_that_share_their_weight_speak_together():
     assert decide({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])
 
 
+def test_without_a_gap_the_verdict_is_none_whatever_the_weights():
+    share = {("none",): 0.05, ("depth_hardening",): 0.7, ("cohesion",): 0.2, ("unknown",): 0.05}
+    assert decide(share)[0] == ("depth_hardening",)
+    named = [["none", "depth_hardening", "cohesion"]]
+    assert decide(share, has_gap=False) == (("none",), named)
+
+
 def test_none_stands_until_it_is_far_outweighed():
     """An alarm takes more than being likelier: the rate of false ones is held down."""
     faint = {("drawbar",): 0.35, ("none",): 0.3, ("backlash",): 0.2, ("unknown",): 0.15}

@@ -1,6 +1,7 @@
 """Settings of a diagnosis: each number is passed down to the step that it is of."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,15 +39,18 @@ def few(**screening) -> ScreeningSettings:
 
 def test_so_many_effects_are_simulated_as_the_settings_allow(sloping, pool):
     """Pairs are not looked for, as the floor for them is set out of reach."""
-    one = screen_effects(sloping, EFFECTS, pool, settings=few(pair_floor=np.inf))
-    two = screen_effects(
-        sloping,
-        EFFECTS,
-        pool,
-        settings=ScreeningSettings(min_simulated=2, max_simulated=2, pair_floor=np.inf),
-    )
-    assert (len(one.singles), len(two.singles)) == (1, 2)
-    assert one.pairs == two.pairs == ()
+    near = ScreeningSettings(pair_floor=np.inf, far_from_floor=np.inf, far_from_scatter=np.inf)
+    found = [
+        screen_effects(
+            sloping, EFFECTS, pool, settings=replace(near, min_simulated=most, max_simulated=most)
+        )
+        for most in (1, 2)
+    ]
+    assert [len(each.singles) for each in found] == [1, 2]
+    assert all(each.pairs == () for each in found)
+    # Where the reference model is far off, every effect that gains is.
+    far = few(pair_floor=np.inf, far_from_floor=0.0)
+    assert len(screen_effects(sloping, EFFECTS, pool, settings=far).singles) > 2
 
 
 def test_numbers_of_a_fit_and_of_its_refinement_reach_them(sloping, pool):
