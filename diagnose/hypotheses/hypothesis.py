@@ -36,6 +36,8 @@ class Hypothesis:
         is_simulated: `fit` is by simulation.
         proposed_step: Change of (log zeta, coordinates) that the linear fit proposes, if it has not
             been made yet.
+        start_score: Log score of its residual, where that is of a simulation at these numbers;
+            else `fit` may be by a linear fit, or `residual` by the derivatives.
     """
 
     model: AugmentedModel
@@ -46,6 +48,7 @@ class Hypothesis:
     residual: list[np.ndarray]
     is_simulated: bool
     proposed_step: tuple[np.ndarray, np.ndarray] | None = None
+    start_score: float = -np.inf
 
     def by_zeta(self, run: int) -> np.ndarray:
         """Derivative of a run's channels by its log zeta [m, N, N m], shape (channels, samples)."""

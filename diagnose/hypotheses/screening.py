@@ -222,12 +222,14 @@ class _Screening:
         by_size: list[list[Hypothesis]] = [singles, []]
         if singles and self.leaves_gap(singles[0]):
             report("pairs of effects")
-            by_size[1] = self.finish(self.refine_sets(singles, singles, self.settings.pairs))
-            self.add_effects(by_size, report)
-            self.exchange_effects(by_size, report)
+            pairs = self.settings.pairs.where(is_far)
+            larger_sets = self.settings.larger_sets.where(is_far)
+            by_size[1] = self.finish(self.refine_sets(singles, singles, pairs))
+            self.add_effects(by_size, larger_sets, report)
+            self.exchange_effects(by_size, larger_sets, report)
             self.take_out_further(by_size)
-        singles, pairs, *larger = map(tuple, by_size)
-        return ScreeningResult(self.regressors, none, singles, pairs, tuple(larger))
+        alone, in_pairs, *larger = map(tuple, by_size)
+        return ScreeningResult(self.regressors, none, alone, in_pairs, tuple(larger))
 
     def is_far(self, none: Hypothesis) -> bool:
         """Tell whether the reference model is so far off that linear fits say little."""
@@ -237,11 +239,14 @@ class _Screening:
         most = settings.far_from_scatter * weights.bed.scatter
         return miss > settings.far_from_floor or none.fit.zeta_variance > most**2
 
-    def add_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
+    def add_effects(
+        self, by_size: list[list[Hypothesis]], limits: SetScreeningSettings, report: Report
+    ) -> None:
         """Add one effect after another to the best sets while that pays.
 
         Args:
             by_size: Singles and pairs, best first; larger sets are appended.
+            limits: Numbers of the choice of larger sets.
             report: Called with what is done next.
         """
         settings = self.settings
@@ -252,22 +257,23 @@ class _Screening:
             if not self.leaves_gap(best) or gained < max(settings.min_set_gain, worth):
                 break
             report(f"sets of {len(by_size) + 1} effects")
-            by_size.append(
-                self.finish(self.refine_sets(by_size[-1], by_size[0], settings.larger_sets))
-            )
+            by_size.append(self.finish(self.refine_sets(by_size[-1], by_size[0], limits)))
             if by_size[-1]:
                 self.take_out(by_size, len(by_size) - 1)
 
-    def exchange_effects(self, by_size: list[list[Hypothesis]], report: Report) -> None:
+    def exchange_effects(
+        self, by_size: list[list[Hypothesis]], limits: SetScreeningSettings, report: Report
+    ) -> None:
         """Try look-alikes in the places of the best set's effects, again while that pays.
 
         Args:
             by_size: Singles, pairs and larger sets, best first; those that begin with a better set
                 take the place of larger ones.
+            limits: Numbers of the choice of larger sets.
             report: Called with what is done next.
         """
         settings, done = self.settings, set[frozenset[str]]()
-        limits = replace(settings.larger_sets, max_continued=settings.exchange.max_continued)
+        of_place = replace(limits, max_continued=settings.exchange.max_continued)
         for _ in range(settings.max_exchanges):
             leading = [several[0] for several in by_size[1:] if several]
             best = max(leading, key=self.worth, default=None)
@@ -287,7 +293,7 @@ class _Screening:
             tried = [
                 each
                 for starts in by_place
-                for each in race(self.regressors, starts, self.pool, limits, settings.refinement)
+                for each in race(self.regressors, starts, self.pool, of_place, settings.refinement)
             ]
             # A look-alike with which no run can be simulated says nothing.
             refined = [each for each in self.finish(tried, best.score) if each.is_simulated]
@@ -295,7 +301,7 @@ class _Screening:
             if by_size[place][0].score < best.score + settings.min_round_gain:
                 break
             del by_size[place + 1 :]
-            self.add_effects(by_size, report)
+            self.add_effects(by_size, limits, report)
 
     def take_out_further(self, by_size: list[list[Hypothesis]]) -> None:
         """Try the best set without one effect after another, while that costs little."""

@@ -26,6 +26,7 @@ from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_v
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
+    at_its_start,
     predicted_score,
     refine,
     relinearize,
@@ -50,9 +51,12 @@ class SetScreeningSettings:
         far_from_floor: Another round is made while the best set misses a block by more than this
             many model errors [-]: far from the null linear fits may rank the right set low.
         max_simulations: Simulations of all runs for each set, at most.
-        max_continued: Sets that get more than one: those that lead after it.
+        max_continued: Sets that get more than one: those that lead after it. Where the reference
+            model is far off one simulation does not tell, and all get more.
         both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
+        max_retries: Sets that do worse than the base without an effect are refined again from the
+            better base, so many at most where the reference model is far off.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
         rankings: Linear fits rank sets with an effect at its null once by each of these.
         refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are
@@ -67,9 +71,14 @@ class SetScreeningSettings:
     max_simulations: int = 3
     max_continued: int = 8
     both_starts: int = 2
+    max_retries: int = 0
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
+
+    def where(self, is_far: bool) -> "SetScreeningSettings":
+        """The numbers where the reference model is far off, or is not."""
+        return replace(self, max_continued=self.sets_per_round, max_retries=4) if is_far else self
 
 
 DEFAULT_PAIRS = SetScreeningSettings()
@@ -93,12 +102,14 @@ class SetCandidate:
         names: Its effects.
         from_null: The added effect starts at its null, not from its refinement alone.
         score: Log score that the fit predicts.
+        base_score: Log score of the hypothesis that the effect is added to.
         build: Makes the hypothesis, with its proposed step.
     """
 
     names: frozenset[str]
     from_null: bool
     score: float
+    base_score: float
     build: Callable[[], Hypothesis]
 
 
@@ -123,16 +134,28 @@ def refine_sets(
     Returns:
         Best first, but that the first few may be better still from another start.
     """
-    starts: dict[frozenset[str], dict[bool, SetCandidate]] = {}
+    starts: dict[frozenset[str], dict[tuple[bool, float], SetCandidate]] = {}
     for each in set_candidates(regressors, bases, singles, pool, settings):
         # Two forms of one effect are no set: the verdict would name one, with two sets of numbers.
         if len(reported_names(each.names)) < len(each.names):
             continue
-        starts.setdefault(each.names, {}).setdefault(each.from_null, each)
+        key = each.from_null, each.base_score
+        starts.setdefault(each.names, {}).setdefault(key, each)
 
     def better_start(known: Hypothesis) -> Hypothesis:
-        others = [other.build() for other in list(starts[frozenset(known.names)].values())[1:]]
-        again = race(regressors, others, pool, settings, refinement)
+        first, *others = starts[frozenset(known.names)].values()
+        other_kind = [each for each in others if each.from_null != first.from_null][:1]
+        return best_of(known, other_kind)
+
+    def from_better_base(known: Hypothesis) -> Hypothesis:
+        every = starts[frozenset(known.names)].values()
+        return best_of(known, [each for each in every if each.base_score == best_base(known)])
+
+    def best_base(known: Hypothesis) -> float:
+        return max(each.base_score for each in starts[frozenset(known.names)].values())
+
+    def best_of(known: Hypothesis, others: Sequence[SetCandidate]) -> Hypothesis:
+        again = race(regressors, [each.build() for each in others], pool, settings, refinement)
         return max([known, *again], key=lambda each: each.score)
 
     firsts = [next(iter(kinds.values())) for kinds in starts.values()]
@@ -145,7 +168,12 @@ def refine_sets(
         if not found or _worst_miss(regressors, found[0]) <= settings.far_from_floor:
             break
     leading, rest = found[: settings.both_starts], found[settings.both_starts :]
-    return [*map(better_start, leading), *rest]
+    # No set does worse than a part of it, unless its refinement went astray.
+    ranks = {names: rank for rank, names in enumerate(starts)}
+    astray = [each for each in rest if each.score < best_base(each)]
+    astray.sort(key=lambda each: ranks[frozenset(each.names)])
+    again = {id(each): from_better_base(each) for each in astray[: settings.max_retries]}
+    return [*map(better_start, leading), *(again.get(id(each), each) for each in rest)]
 
 
 def race(
@@ -158,6 +186,8 @@ def race(
     """Refine the starts; only the leading ones get more than one simulation.
 
     These get derivatives by the simulator first: an effect far from its null has others than there.
+    One that does worse than without the effect which was added went astray, and is refined again
+    from there.
 
     Args:
         regressors: The runs.
@@ -167,17 +197,25 @@ def race(
         refinement: Numbers of the refinement.
     """
 
-    def first(start: Hypothesis) -> Hypothesis:
-        return refine(regressors, start, 1, pool, refinement)
+    def first(start: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
+        return start, refine(regressors, start, 1, pool, refinement)
 
-    def further(here: Hypothesis) -> Hypothesis:
+    def onward(here: Hypothesis) -> Hypothesis:
         exact = relinearize(regressors, here, pool) if here.is_simulated else here
         return refine(regressors, exact, settings.max_simulations - 1, pool, refinement)
 
+    def further(both: tuple[Hypothesis, Hypothesis]) -> Hypothesis:
+        start, here = both
+        found = onward(here)
+        if found.is_simulated and found.score > start.start_score:
+            return found
+        again = onward(at_its_start(regressors, start, pool))
+        return max([again, found], key=lambda each: each.score if each.is_simulated else -np.inf)
+
     begun = pool.map_outer(first, starts)
-    begun.sort(key=lambda each: -predicted_score(regressors, each, pool))
+    begun.sort(key=lambda both: -predicted_score(regressors, both[1], pool))
     leading, rest = begun[: settings.max_continued], begun[settings.max_continued :]
-    return [*pool.map_outer(further, leading), *rest]
+    return [*pool.map_outer(further, leading), *(here for _, here in rest)]
 
 
 def without_effect(whole: Hypothesis, index: int) -> Hypothesis:
@@ -277,7 +315,7 @@ def _with_refined(
             )
             build = partial(_join_refined, regressors, first, other, fit)
             names = frozenset((*first.names, *other.names))
-            order.append(SetCandidate(names, False, fit.score, build))
+            order.append(SetCandidate(names, False, fit.score, first.score, build))
         found.append(order)
     return found
 
@@ -366,7 +404,8 @@ def _with_any(
         order = []
         for name, (variant, fit) in leading.items():
             build = partial(joined_from_null, regressors, first, variant, fit, exact.get(name))
-            order.append(SetCandidate(frozenset((*first.names, name)), True, fit.score, build))
+            names = frozenset((*first.names, name))
+            order.append(SetCandidate(names, True, fit.score, first.score, build))
         found.append(order)
     return found
 
@@ -425,4 +464,5 @@ def _join(
         first.residual,
         is_simulated=False,
         proposed_step=step,
+        start_score=first.score if first.is_simulated else -np.inf,
     )
