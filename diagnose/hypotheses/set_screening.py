@@ -46,6 +46,8 @@ class SetScreeningSettings:
         max_bases: Refined hypotheses that sets begin with, at most. Singles that look alike, such
             as two kinds of drag, lead with nearly one score.
         max_deficit: Of these none that is further behind the best in log score [-].
+        number_cost: Log score that each number must gain by which one form of an effect has more
+            than another [-]: what it costs in a weight, whose evidence counts half as much.
         sets_per_round: Sets that are simulated in one round.
         max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
         far_from_floor: Another round is made while the best set misses a block by more than this
@@ -65,6 +67,7 @@ class SetScreeningSettings:
 
     max_bases: int = 4
     max_deficit: float = np.inf
+    number_cost: float = 3.0
     sets_per_round: int = 12
     max_rounds: int = 1
     far_from_floor: float = 5.0
@@ -260,7 +263,10 @@ def set_candidates(
     best = bases[0]
     for each in top_ranked(bases, settings.max_bases):
         if each.score > best.score - settings.max_deficit:
-            firsts.setdefault(reported_names(each.names), each)
+            known = firsts.setdefault(reported_names(each.names), each)
+            further = len(each.coordinates) - len(known.coordinates)
+            if each.score > known.score + settings.number_cost * further:
+                firsts[reported_names(each.names)] = each
     miss, rankings = best.fit.mean_square, settings.rankings
     given = _exact_beside(regressors, best, miss, pool, rankings)
     orders = []
