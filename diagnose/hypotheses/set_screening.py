@@ -258,30 +258,37 @@ def set_candidates(
 
     Arguments as for `refine_sets`.
     """
-    # Another form of an effect begins nothing that the better one does not.
-    firsts: dict[tuple[str, ...], Hypothesis] = {}
-    best = bases[0]
-    for each in top_ranked(bases, settings.max_bases):
-        if each.score > best.score - settings.max_deficit:
-            known = firsts.setdefault(reported_names(each.names), each)
-            further = len(each.coordinates) - len(known.coordinates)
-            if each.score > known.score + settings.number_cost * further:
-                firsts[reported_names(each.names)] = each
+    best, firsts = bases[0], leading_bases(bases, settings)
     miss, rankings = best.fit.mean_square, settings.rankings
     given = _exact_beside(regressors, best, miss, pool, rankings)
     orders = []
     for of_each in (
-        [
-            _with_refined(regressors, each, miss, singles, pool, settings)
-            for each in firsts.values()
-        ],
-        [_with_any(regressors, each, miss, pool, rankings, given) for each in firsts.values()],
+        [_with_refined(regressors, each, miss, singles, pool, settings) for each in firsts],
+        [_with_any(regressors, each, miss, pool, rankings, given) for each in firsts],
     ):
         for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)
             orders.append(sorted(together, key=lambda each: -each.score))
     for turn in itertools.zip_longest(*orders):
         yield from (each for each in turn if each is not None)
+
+
+def leading_bases(bases: Sequence[Hypothesis], settings: SetScreeningSettings) -> list[Hypothesis]:
+    """The hypotheses that sets begin with, each in the form of its effects that is worth most.
+
+    Args:
+        bases: Best first.
+        settings: Numbers of the choice.
+    """
+    firsts: dict[tuple[str, ...], Hypothesis] = {}
+    for each in top_ranked(bases, settings.max_bases):
+        if each.score <= bases[0].score - settings.max_deficit:
+            continue
+        known = firsts.setdefault(reported_names(each.names), each)
+        further = len(each.coordinates) - len(known.coordinates)
+        if each.score > known.score + settings.number_cost * further:
+            firsts[reported_names(each.names)] = each
+    return list(firsts.values())
 
 
 def _with_refined(

@@ -7,10 +7,11 @@ import pytest
 
 from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
-from diagnose.hypotheses.refinement import refine
+from diagnose.hypotheses.refinement import at_its_start, refine
 from diagnose.hypotheses.set_screening import (
     DEFAULT_LARGER_SETS,
     SetScreeningSettings,
+    leading_bases,
     refine_sets,
     set_candidates,
     without_effect,
@@ -134,3 +135,52 @@ def test_an_effect_that_has_no_part_is_taken_out_again(regressors, singles, pair
     left = refine(regressors, without_effect(with_third, place), 3, pool)
     assert set(left.names) == set(TRUTH)
     assert left.score == pytest.approx(pair.score, abs=THIRD_GAINS)
+
+
+def test_a_set_begins_with_the_simpler_form_of_an_effect_unless_the_other_gains(regressors):
+    of = {each.effect.about.name: each for each in regressors.variants}
+    simple = linear_start(regressors, [of["vertical_viscous"]])
+    other = replace(
+        linear_start(regressors, [of["horizontal_viscous"]]), coordinates=np.zeros(3)
+    )  # stands for a form of two numbers more
+    form = replace(other, model=simple.model)
+
+    def first(gain: float) -> int:
+        by_score = [
+            replace(form, fit=replace(form.fit, score=100.0 + gain)),
+            replace(simple, fit=replace(simple.fit, score=100.0)),
+        ]
+        (found,) = leading_bases(by_score, SetScreeningSettings())
+        return len(found.coordinates)
+
+    cost = 2 * SetScreeningSettings().number_cost
+    assert first(0.2) == len(simple.coordinates)
+    assert first(cost - 0.1) == len(simple.coordinates)
+    assert first(cost + 0.1) == 3
+
+
+def test_a_base_too_far_behind_begins_no_set(regressors):
+    of = {each.effect.about.name: each for each in regressors.variants}
+    names = ("vertical_viscous", "horizontal_viscous")
+    near, far = (linear_start(regressors, [of[name]]) for name in names)
+    limits = SetScreeningSettings(max_deficit=10.0)
+    for behind, count in ((9.0, 2), (11.0, 1)):
+        scores = (0.0, -behind)
+        bases = [
+            replace(each, fit=replace(each.fit, score=score))
+            for each, score in zip((near, far), scores, strict=True)
+        ]
+        assert len(leading_bases(bases, limits)) == count
+
+
+def test_a_set_without_its_step_is_the_base(regressors, pool):
+    """An effect at its null changes nothing: what goes astray from there has a way back."""
+    of = {each.effect.about.name: each for each in regressors.variants}
+    base = refine(regressors, linear_start(regressors, [of["vertical_viscous"]]), 2, pool)
+    candidate = next(set_candidates(regressors, [base], [], pool, SetScreeningSettings()))
+    start = candidate.build()
+    assert start.start_score == candidate.base_score == base.score
+    back = at_its_start(regressors, start, pool)
+    assert back.is_simulated
+    assert back.proposed_step is None
+    assert back.score == pytest.approx(base.score, rel=1e-9)  # the same residuals, summed again
