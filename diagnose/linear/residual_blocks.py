@@ -52,7 +52,8 @@ class SlowFastSplit:
         Returns:
             By kind, shape (bins, columns), one fewer of travel, and (samples, columns).
         """
-        means = self.bin_means @ values
-        fast = values - self.interpolation @ means
+        with np.errstate(invalid="ignore"):  # a run that could not be simulated has no numbers
+            means = self.bin_means @ values
+            fast = values - self.interpolation @ means
         slow = np.diff(means, axis=0) if channel == "x" else means
         return {"slow": slow, "fast": fast}
