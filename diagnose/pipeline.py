@@ -174,8 +174,9 @@ class _Diagnosing:
             weighed = self.without_set(weighed)
             gap = self.measure_gap(weighed, reference)
         if weighed.verdict == (UNKNOWN,) and gap.selected.explains_most(settings.selection):
-            weighed = self.believing_listed(weighed, gap.selected.leaves_gap)
-            gap = self.measure_gap(weighed, reference)
+            before, weighed = weighed, self.believing_listed(weighed, gap.selected.leaves_gap)
+            if weighed.chosen is not before.chosen:
+                gap = self.measure_gap(weighed, reference)
         one_zeta = self.one_zeta_gap(weighed, gap)
         every_gap = (*gap.selected.gap.values(), *one_zeta.values())
         if weighed.verdict != (NONE,) and not any(each.is_reducible for each in every_gap):

@@ -36,8 +36,8 @@ class Hypothesis:
         is_simulated: `fit` is by simulation.
         proposed_step: Change of (log zeta, coordinates) that the linear fit proposes, if it has not
             been made yet.
-        start_score: Log score of its residual, where that is of a simulation at these numbers;
-            else `fit` may be by a linear fit, or `residual` by the derivatives.
+        start_score: Log score by simulation at these numbers, before the proposed step; minus
+            infinity where they were not simulated.
     """
 
     model: AugmentedModel

@@ -123,12 +123,7 @@ def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypo
 
 
 def at_its_start(regressors: Regressors, start: Hypothesis, pool: RunPool) -> Hypothesis:
-    """A hypothesis where it starts, with the score of its residual, without its proposed step.
-
-    The residual of a start that has no `start_score` is no simulation's: it stays as it is.
-    """
-    if start.start_score == -np.inf:
-        return start
+    """A hypothesis with a `start_score` where it starts, without its proposed step."""
     at = start.log_zeta, start.coordinates, start.residual
     fit = _simulated_fit(regressors, start, *at, pool)
     return replace(start, fit=fit, is_simulated=True, proposed_step=None)

@@ -57,8 +57,8 @@ class SetScreeningSettings:
             model is far off one simulation does not tell, and all get more.
         both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
-        max_retries: Sets that do worse than the base without an effect are refined again from the
-            better base, so many at most where the reference model is far off.
+        max_retries: Sets that do worse than a part of them, from which they may begin, are refined
+            again from there, so many at most. None but where the reference model is far off.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
         rankings: Linear fits rank sets with an effect at its null once by each of these.
         refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are
@@ -74,14 +74,16 @@ class SetScreeningSettings:
     max_simulations: int = 3
     max_continued: int = 8
     both_starts: int = 2
-    max_retries: int = 0
+    max_retries: int = 4
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
 
     def where(self, is_far: bool) -> "SetScreeningSettings":
         """The numbers where the reference model is far off, or is not."""
-        return replace(self, max_continued=self.sets_per_round, max_retries=4) if is_far else self
+        if is_far:
+            return replace(self, max_continued=self.sets_per_round)
+        return replace(self, max_retries=0)
 
 
 DEFAULT_PAIRS = SetScreeningSettings()
@@ -96,6 +98,9 @@ DEFAULT_LARGER_SETS = SetScreeningSettings(
 # A further effect's shapes and its responses beside a set, by run, by its name.
 GivenResponses = dict[str, tuple[ShapeVariant, list[np.ndarray]]]
 
+# By ranking, by name: an effect's best variant beside a base, and its linear fit.
+LeadingVariants = list[dict[str, tuple[ShapeVariant, LinearFit]]]
+
 
 @dataclass(frozen=True)
 class SetCandidate:
@@ -105,14 +110,14 @@ class SetCandidate:
         names: Its effects.
         from_null: The added effect starts at its null, not from its refinement alone.
         score: Log score that the fit predicts.
-        base_score: Log score of the hypothesis that the effect is added to.
+        base: The hypothesis that the effect is added to.
         build: Makes the hypothesis, with its proposed step.
     """
 
     names: frozenset[str]
     from_null: bool
     score: float
-    base_score: float
+    base: Hypothesis
     build: Callable[[], Hypothesis]
 
 
@@ -137,12 +142,12 @@ def refine_sets(
     Returns:
         Best first, but that the first few may be better still from another start.
     """
-    starts: dict[frozenset[str], dict[tuple[bool, float], SetCandidate]] = {}
+    starts: dict[frozenset[str], dict[tuple[bool, tuple[str, ...]], SetCandidate]] = {}
     for each in set_candidates(regressors, bases, singles, pool, settings):
         # Two forms of one effect are no set: the verdict would name one, with two sets of numbers.
         if len(reported_names(each.names)) < len(each.names):
             continue
-        key = each.from_null, each.base_score
+        key = each.from_null, each.base.names
         starts.setdefault(each.names, {}).setdefault(key, each)
 
     def better_start(known: Hypothesis) -> Hypothesis:
@@ -150,12 +155,13 @@ def refine_sets(
         other_kind = [each for each in others if each.from_null != first.from_null][:1]
         return best_of(known, other_kind)
 
-    def from_better_base(known: Hypothesis) -> Hypothesis:
+    def best_base(known: Hypothesis) -> Hypothesis:
         every = starts[frozenset(known.names)].values()
-        return best_of(known, [each for each in every if each.base_score == best_base(known)])
+        return max((each.base for each in every), key=lambda each: each.score)
 
-    def best_base(known: Hypothesis) -> float:
-        return max(each.base_score for each in starts[frozenset(known.names)].values())
+    def from_best_base(known: Hypothesis) -> Hypothesis:
+        every, base = starts[frozenset(known.names)].values(), best_base(known)
+        return best_of(known, [each for each in every if each.base is base])
 
     def best_of(known: Hypothesis, others: Sequence[SetCandidate]) -> Hypothesis:
         again = race(regressors, [each.build() for each in others], pool, settings, refinement)
@@ -173,9 +179,9 @@ def refine_sets(
     leading, rest = found[: settings.both_starts], found[settings.both_starts :]
     # No set does worse than a part of it, unless its refinement went astray.
     ranks = {names: rank for rank, names in enumerate(starts)}
-    astray = [each for each in rest if each.score < best_base(each)]
+    astray = [each for each in rest if each.score < best_base(each).score]
     astray.sort(key=lambda each: ranks[frozenset(each.names)])
-    again = {id(each): from_better_base(each) for each in astray[: settings.max_retries]}
+    again = {id(each): from_best_base(each) for each in astray[: settings.max_retries]}
     return [*map(better_start, leading), *(again.get(id(each), each) for each in rest)]
 
 
@@ -210,7 +216,7 @@ def race(
     def further(both: tuple[Hypothesis, Hypothesis]) -> Hypothesis:
         start, here = both
         found = onward(here)
-        if found.is_simulated and found.score > start.start_score:
+        if start.start_score == -np.inf or (found.is_simulated and found.score > start.start_score):
             return found
         again = onward(at_its_start(regressors, start, pool))
         return max([again, found], key=lambda each: each.score if each.is_simulated else -np.inf)
@@ -258,13 +264,17 @@ def set_candidates(
 
     Arguments as for `refine_sets`.
     """
-    best, firsts = bases[0], leading_bases(bases, settings)
-    miss, rankings = best.fit.mean_square, settings.rankings
-    given = _exact_beside(regressors, best, miss, pool, rankings)
+    firsts = leading_bases(bases, settings)
+    miss, rankings = bases[0].fit.mean_square, settings.rankings
+    by_base = [_leading_beside(regressors, each, miss, pool, rankings) for each in firsts]
+    given = _exact_beside(regressors, firsts[0], by_base[0], pool)
     orders = []
     for of_each in (
         [_with_refined(regressors, each, miss, singles, pool, settings) for each in firsts],
-        [_with_any(regressors, each, miss, pool, rankings, given) for each in firsts],
+        [
+            _with_any(regressors, each, leading, miss, pool, rankings, given)
+            for each, leading in zip(firsts, by_base, strict=True)
+        ],
     ):
         for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)
@@ -328,7 +338,7 @@ def _with_refined(
             )
             build = partial(_join_refined, regressors, first, other, fit)
             names = frozenset((*first.names, *other.names))
-            order.append(SetCandidate(names, False, fit.score, first.score, build))
+            order.append(SetCandidate(names, False, fit.score, first, build))
         found.append(order)
     return found
 
@@ -354,20 +364,15 @@ def _join_refined(
 
 
 def _exact_beside(
-    regressors: Regressors,
-    best: Hypothesis,
-    miss: np.ndarray,
-    pool: RunPool,
-    rankings: Sequence[Ranking],
+    regressors: Regressors, best: Hypothesis, leading: LeadingVariants, pool: RunPool
 ) -> GivenResponses:
     """Responses to further effects at the numbers of the best base; none beside a single effect.
 
     The other bases are about as good, so they move the runs much as it does: its responses stand
-    for theirs, too.
+    for theirs, too. `leading` are the further effects' best variants beside it.
     """
     if len(best.names) < 2:
         return {}
-    leading = _leading_beside(regressors, best, miss, pool, rankings)
     # Of each effect the shapes that do best by the last ranking.
     chosen = {name: variant for name, (variant, _) in leading[-1].items()}
     exact = exact_responses(regressors, best, list(chosen.values()), pool)
@@ -380,7 +385,7 @@ def _leading_beside(
     miss: np.ndarray,
     pool: RunPool,
     rankings: Sequence[Ranking],
-) -> list[dict[str, tuple[ShapeVariant, LinearFit]]]:
+) -> LeadingVariants:
     """By ranking, the best variant of every other effect beside a base, and its linear fit."""
     of_run = first.columns, first.residual, first.log_zeta
     matrices = regressors.gram_matrices_beside_all(*of_run, pool)
@@ -392,6 +397,7 @@ def _leading_beside(
 def _with_any(
     regressors: Regressors,
     first: Hypothesis,
+    best: LeadingVariants,
     miss: np.ndarray,
     pool: RunPool,
     rankings: Sequence[Ranking],
@@ -399,9 +405,8 @@ def _with_any(
 ) -> list[list[SetCandidate]]:
     """A base with any other effect from its null, by each of the rankings.
 
-    `given` responses take the place of the regressors'.
+    `best` are by the regressors' responses; `given` ones take the place of these.
     """
-    best = _leading_beside(regressors, first, miss, pool, rankings)
     exact = {name: responses for name, (_, responses) in given.items()}
     if given:
         chosen = {name: variant for name, (variant, _) in best[-1].items()}
@@ -418,7 +423,7 @@ def _with_any(
         for name, (variant, fit) in leading.items():
             build = partial(joined_from_null, regressors, first, variant, fit, exact.get(name))
             names = frozenset((*first.names, name))
-            order.append(SetCandidate(names, True, fit.score, first.score, build))
+            order.append(SetCandidate(names, True, fit.score, first, build))
         found.append(order)
     return found
 

@@ -179,7 +179,7 @@ def test_a_set_without_its_step_is_the_base(regressors, pool):
     base = refine(regressors, linear_start(regressors, [of["vertical_viscous"]]), 2, pool)
     candidate = next(set_candidates(regressors, [base], [], pool, SetScreeningSettings()))
     start = candidate.build()
-    assert start.start_score == candidate.base_score == base.score
+    assert start.start_score == candidate.base.score == base.score
     back = at_its_start(regressors, start, pool)
     assert back.is_simulated
     assert back.proposed_step is None
