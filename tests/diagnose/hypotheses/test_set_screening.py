@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import match_initial_zeta
+from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
 from diagnose.hypotheses.refinement import at_its_start, refine
 from diagnose.hypotheses.set_screening import (
@@ -184,3 +185,28 @@ def test_a_set_without_its_step_is_the_base(regressors, pool):
     assert back.is_simulated
     assert back.proposed_step is None
     assert back.score == pytest.approx(base.score, rel=1e-9)  # the same residuals, summed again
+
+
+def test_a_set_that_does_worse_than_a_part_of_it_begins_again_from_there(
+    regressors, singles, pool, monkeypatch
+):
+    begun = []
+
+    def astray_at_first(regressors, starts, pool, settings, refinement):
+        begun.append(starts)
+        score = -1e6 if len(begun) == 1 else 1e6
+        return [
+            replace(each, fit=replace(each.fit, score=score), is_simulated=True) for each in starts
+        ]
+
+    monkeypatch.setattr(set_screening, "race", astray_at_first)
+    settings = SetScreeningSettings(sets_per_round=FEW, both_starts=0, max_retries=1)
+    found = refine_sets(regressors, singles, singles, pool, settings)
+    first, again = begun
+    assert {frozenset(each.names) for each in again} == {frozenset(first[0].names)}
+    parts = [each.score for each in singles if set(each.names) < set(again[0].names)]
+    assert {each.start_score for each in again} == {max(parts)}
+    assert [each.score for each in found] == [1e6, -1e6, -1e6]
+    begun.clear()
+    refine_sets(regressors, singles, singles, pool, replace(settings, max_retries=0))
+    assert len(begun) == 1
