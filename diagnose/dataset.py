@@ -13,10 +13,12 @@ import numpy as np
 
 from diagnose.model.augmented_model import (
     MAX_COVERED_SHARE,
+    REFERENCE,
     AugmentedModel,
     Directions,
     predict,
     predict_with_jacobian,
+    program_within,
 )
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
@@ -88,11 +90,13 @@ class RigDataset:
         runs: The runs, as for a fit.
         batch: The same, padded to common sizes.
         settings: How they were prepared.
+        shared: Model whose program simulates every other, where it may.
     """
 
     runs: Sequence[PreparedRun]
     batch: Batch
     settings: DatasetSettings = DEFAULT_DATASET
+    shared: AugmentedModel = REFERENCE
 
     @classmethod
     def of(
@@ -160,7 +164,13 @@ class RigDataset:
                 return RigDataset.of(fewer, self.settings)
         return self
 
-    def compile(self, pool: RunPool, program: Callable, model: AugmentedModel | Directions) -> None:
+    def compile(
+        self,
+        pool: RunPool,
+        program: Callable,
+        model: AugmentedModel | Directions,
+        waits: bool = True,
+    ) -> None:
         """Compile a program for a model in one thread, before several need it.
 
         Otherwise each of them would compile it for itself. While it is compiled, other threads may
@@ -171,6 +181,7 @@ class RigDataset:
             pool: Threads.
             program: `predict`, or `predict_with_jacobian`.
             model: What is going to be simulated: its first argument.
+            waits: Until it is compiled; else it is only begun.
         """
         observed = self.observations[0]
         none = jnp.zeros_like(observed.compared_rows)
@@ -178,9 +189,13 @@ class RigDataset:
         if isinstance(model, Directions):
             key, null = model.key, np.zeros(model.free)
         else:
-            key, null = model.program[0], model.null()
-        given = self.channels, self.trials[0], nothing, as_real(0.0), null
-        pool.once((self, program, key), lambda: program(model, *given))
+            key, null = program_within(model, self.shared).model, model.null()
+        given = (self.channels, self.trials[0], nothing, as_real(0.0), null)
+        if not isinstance(model, Directions):
+            given = (*given, self.shared)
+        begun = pool.begin((self, program, key), lambda: program(model, *given))
+        if waits:
+            begun.result()
 
     def counts(self, run: int) -> np.ndarray:
         """Mask of a run's recorded samples that are compared, shape (all samples,)."""
@@ -226,6 +241,7 @@ class RigDataset:
             self.observations[run],
             as_real(log_zeta),
             coordinates,
+            self.shared,
         )
         return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
 

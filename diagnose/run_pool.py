@@ -13,18 +13,26 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def _thread_per_core() -> ThreadPoolExecutor:
+def _threads(count: int) -> ThreadPoolExecutor:
     double = bool(jax.config.values["jax_enable_x64"])
 
     def begin() -> None:
         jax.enable_x64(double).__enter__()  # for as long as the thread lives
 
-    return ThreadPoolExecutor(os.cpu_count() or 1, initializer=begin)
+    return ThreadPoolExecutor(count, initializer=begin)
+
+
+def _thread_per_core() -> ThreadPoolExecutor:
+    return _threads(os.cpu_count() or 1)
+
+
+def _two_per_core() -> ThreadPoolExecutor:
+    return _threads(2 * (os.cpu_count() or 1))
 
 
 @dataclass(frozen=True, eq=False)
 class RunPool:
-    """Two thread pools, one nested in the other, that end with the `with` block.
+    """Thread pools, one nested in the other, that end with the `with` block.
 
         with RunPool() as pool:
             residuals = pool.map(simulate, range(len(dataset.runs)))
@@ -34,13 +42,16 @@ class RunPool:
 
     Attributes:
         inner: Threads that compute, as many as there are cores.
-        outer: As many threads that only hand work to `inner` and wait for it.
-        begun: Work that `once` has begun, by its key.
+        outer: Twice as many that only hand work to `inner` and wait for it: while some wait for a
+            program, others compute.
+        compiling: As many as there are cores, that compile programs.
+        begun: Programs that `compiling` has begun, by their keys.
         lock: Held while `begun` is looked at.
     """
 
     inner: ThreadPoolExecutor = field(default_factory=_thread_per_core)
-    outer: ThreadPoolExecutor = field(default_factory=_thread_per_core)
+    outer: ThreadPoolExecutor = field(default_factory=_two_per_core)
+    compiling: ThreadPoolExecutor = field(default_factory=_thread_per_core)
     begun: dict[Hashable, Future] = field(default_factory=dict)
     lock: Lock = field(default_factory=Lock)
 
@@ -50,6 +61,7 @@ class RunPool:
     def __exit__(self, *_: object) -> None:
         self.outer.shutdown()
         self.inner.shutdown()
+        self.compiling.shutdown()
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """Do `work` for every item, side by side; it must not use the pool itself."""
@@ -63,9 +75,13 @@ class RunPool:
         """
         return list(self.outer.map(work, items))
 
-    def once(self, key: Hashable, work: Callable[[], object]) -> None:
-        """Do `work` in an inner thread, once for each key; every other caller waits until it is."""
+    def begin(self, key: Hashable, work: Callable[[], object]) -> Future:
+        """Begin to compile a program by `work`, once for each key, and do not wait."""
         with self.lock:
             if key not in self.begun:
-                self.begun[key] = self.inner.submit(work)
-        self.begun[key].result()
+                self.begun[key] = self.compiling.submit(work)
+            return self.begun[key]
+
+    def once(self, key: Hashable, work: Callable[[], object]) -> None:
+        """Compile a program by `work`, once for each key; every other caller waits until it is."""
+        self.begin(key, work).result()

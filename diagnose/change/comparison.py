@@ -43,6 +43,7 @@ from diagnose.dataset import (
 from diagnose.linear.linear_fit import worth_by_block
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import shared_model
 from diagnose.result import ParameterEstimate
 from diagnose.run_pool import RunPool
 from drftjax.common.errors import RunError
@@ -186,7 +187,7 @@ def _problem_about(
     whole = RigDataset.of(runs, settings.dataset)
     dataset, law = follow_shared_law(whole, before, pool, law_settings)
     log_zeta = match_initial_zeta(dataset, pool, settings.initial_zeta)
-    dataset = dataset.with_fewer_plates()
+    dataset = replace(dataset.with_fewer_plates(), shared=shared_model(effects))
     report(f"linearising {len(runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool)
     regressors = Regressors.of(dataset, linearized, effects, pool)

@@ -88,14 +88,36 @@ def exact_responses(
     """
     whole = regressors.common_model_with(here.model.effects)
     known = [each for each in variants if each.effect in whole.effects]
-    places, start = _rows(whole), _start(whole, here, known)
-    rows = [places[each.effect, name] for each in known for name in strengths(each.effect)]
+    found: dict[str, list[np.ndarray]] = {}
+    # By the program of fewer effects where it has these, as it takes half as long.
+    for model in dict.fromkeys((regressors.dataset.shared, whole)):
+        have = {*model.effects}
+        own = [
+            each
+            for each in known
+            if each.effect.about.name not in found and {*here.model.effects, each.effect} <= have
+        ]
+        if own:
+            found |= _responses_by(regressors, here, own, model, pool)
+    return found
+
+
+def _responses_by(
+    regressors: Regressors,
+    here: Hypothesis,
+    variants: Sequence[ShapeVariant],
+    whole: AugmentedModel,
+    pool: RunPool,
+) -> ResponsesOf:
+    """Responses by the program of one model, which has the set and the further effects."""
+    places, start = _rows(whole), _start(whole, here, variants)
+    rows = [places[each.effect, name] for each in variants for name in strengths(each.effect)]
     chunks = [
         _slopes(regressors, here, whole, start, rows[first : first + COLUMNS], pool)
         for first in range(0, len(rows), COLUMNS)
     ]
     found, place = {}, 0
-    for each in known:
+    for each in variants:
         own = range(place, place + len(each.columns))
         found[each.effect.about.name] = [
             np.stack([chunks[k // COLUMNS][run][:, :, 1 + k % COLUMNS] for k in own], axis=2)

@@ -149,27 +149,31 @@ def look_alikes(
     columns = [np.stack([best.by_zeta(run), own], axis=2) for run, own in enumerate(part)]
     products = regressors.gram_matrices_beside_all(columns, best.residual, best.log_zeta, pool)
     weighed = products.weighed(regressors.settings)
+    by_zeta = weighed[:, 0] / np.maximum(weighed[:, 0, :1], 1e-300)
+    # What each run's own zeta makes up for is no part of it.
+    gram = (weighed - weighed[:, 0, :, None] * by_zeta[:, None, :]).sum(axis=0)
     found: dict[str, LookAlike] = {}
     for variant in regressors.variants:
         name = variant.effect.about.name
         if name in best.names:
             continue
-        alike = _made_up(weighed, variant)
+        alike = _made_up(gram, by_zeta, variant)
         if name not in found or alike.share > found[name].share:
             found[name] = alike
     alike = [each for each in found.values() if each.share > settings.min_alike]
     return sorted(alike, key=lambda each: -each.share)[: settings.max_alike]
 
 
-def _made_up(weighed: np.ndarray, variant: ShapeVariant) -> LookAlike:
+def _made_up(gram: np.ndarray, by_zeta: np.ndarray, variant: ShapeVariant) -> LookAlike:
     """Share of the column behind zeta that a variant makes up for, and the strengths by which.
 
-    `weighed` are the runs' weighed gram matrices, zeta's column first, shape (runs, n, n).
+    Args:
+        gram: Weighed products of the columns beside the runs' own zetas, zeta's first, shape (n,
+            n).
+        by_zeta: Change of each run's log zeta that each column is as much as, shape (runs, n).
+        variant: The variant.
     """
     taken = [2 + column for column in variant.columns]
-    by_zeta = weighed[:, 0] / np.maximum(weighed[:, 0, :1], 1e-300)
-    # What each run's own zeta makes up for is no part of it.
-    gram = (weighed - weighed[:, 0, :, None] * by_zeta[:, None, :]).sum(axis=0)
     cross, power = gram[taken, 1], gram[1, 1]
     fitted = np.linalg.lstsq(gram[np.ix_(taken, taken)], cross, rcond=1e-10)[0]
     fitted = np.maximum(fitted, lower_bounds(variant.effect))

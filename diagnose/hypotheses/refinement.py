@@ -117,7 +117,8 @@ def refine(
 
 def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypothesis:
     """The hypothesis with derivatives by the simulator itself, in forward mode, at its numbers."""
-    directions = directions_within(here.model, regressors.common_model_with(here.model.effects))
+    whole = regressors.model_to_differentiate(here.model.effects)
+    directions = directions_within(here.model, whole)
     columns = regressors.dataset.derivatives(pool, directions, here.log_zeta, here.coordinates)
     return replace(here, columns=columns)
 

@@ -43,6 +43,7 @@ from diagnose.linear.linear_fit import (
 )
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.model.augmented_model import shared_model
 from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSettings
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
@@ -171,7 +172,7 @@ def screen_effects(
     """
     report("baseline: zeta of each run")
     log_zeta = match_initial_zeta(dataset, pool, settings.initial_zeta)
-    dataset = dataset.with_fewer_plates()
+    dataset = replace(dataset.with_fewer_plates(), shared=shared_model(effects))
     report(f"linearising {len(dataset.runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool, settings.linearization)
     regressors = Regressors.of(dataset, linearized, effects, pool, settings.linear_fit)
@@ -368,6 +369,7 @@ class _Screening:
     ) -> list[Hypothesis]:
         """Refine each of the leading effects by a few simulations."""
         starts = [linear_start(self.regressors, [variant], fit) for variant, fit in ranked]
+        self.regressors.begin_compiling([each.model for each in starts], self.pool)
         simulations = self.settings.first_simulations
         return self.pool.map_outer(lambda each: self.refine(each, simulations), starts)
 

@@ -28,7 +28,12 @@ from diagnose.linear.linear_fit import (
 )
 from diagnose.linear.linearized_runs import LinearizedRuns
 from diagnose.linear.residual_blocks import SlowFastSplit
-from diagnose.model.augmented_model import AugmentedModel
+from diagnose.model.augmented_model import (
+    AugmentedModel,
+    directions_within,
+    predict,
+    predict_with_jacobian,
+)
 from diagnose.model.linearized_run import LinearizedRun
 from diagnose.model.shared_programs import program_of
 from diagnose.run_pool import RunPool
@@ -140,6 +145,29 @@ class Regressors:
         common = self.common_model
         lacking = tuple(sorted({*effects} - {*common.effects}, key=lambda e: e.about.name))
         return AugmentedModel(common.effects + lacking) if lacking else common
+
+    def model_to_differentiate(self, effects: Sequence[type[AbstractEffect]]) -> AugmentedModel:
+        """The model by whose program a set of effects is differentiated.
+
+        The dataset's where that has all of them, as it takes half as long; else the common one.
+        """
+        shared = self.dataset.shared
+        return shared if {*effects} <= {*shared.effects} else self.common_model_with(effects)
+
+    def begin_compiling(self, models: Sequence[AugmentedModel], pool: RunPool) -> None:
+        """Begin with the programs that simulate some models, and with those that differentiate.
+
+        Args:
+            models: What is simulated next.
+            pool: Threads.
+        """
+        for each in models:
+            self.dataset.compile(pool, predict, each, waits=False)
+        for whole in dict.fromkeys((self.dataset.shared, self.common_model)):
+            if not whole.effects:
+                continue
+            directions = directions_within(AugmentedModel(whole.effects[:1]), whole)
+            self.dataset.compile(pool, predict_with_jacobian, directions, waits=False)
 
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:

@@ -25,6 +25,20 @@ from drftjax.simulation.trial import Trial
 # model's own surface or radius may bring other plates into the sand.
 MAX_COVERED_SHARE = 0.85
 
+# Each of these makes every simulation longer by a twentieth and more, at its null, too. All others
+# together make it longer by a seventh: one program has them all, in place of one for each set.
+COSTLY_EFFECTS = frozenset(
+    (
+        *("depth_power", "rate_hardening", "height_decrease_arc", "cohesion", "bulldozing"),
+        *("speed_lag", "speed_ripple", "sinkage_delay", "measurement_delay", "vertical_load"),
+        *("terrain_wave", "terrain_variation", "rigid_floor", "heap", "depth_hardening"),
+        *("surface_incline", "surface_profile", "surface_bump", "slip_softening"),
+    )
+)
+
+# In these stages effects act one after another, each on what the last one left.
+ORDERED_STAGES = ("drive", "sensor")
+
 # Columns of the programs that differentiate. Each number of columns is a program of its own. With
 # that of zeta, eight fill a vector.
 COLUMN_COUNTS = (7, 15)
@@ -130,6 +144,76 @@ class AugmentedModel:
         return tuple(effect(**given) for effect, given in zip(self.effects, numbers, strict=True))
 
 
+REFERENCE = AugmentedModel()
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """The model that is compiled to simulate another, and that one's coordinates within it.
+
+    Attributes:
+        model: The model that is compiled.
+        held: Its numbers that no fit changes by effect.
+        start: Its coordinates where no effect of the other acts, shape (its free numbers,).
+        mix: Its coordinates over `start` as a linear map of the other's, shape (its free numbers,
+            free numbers).
+    """
+
+    model: AugmentedModel
+    held: tuple[Held, ...]
+    start: np.ndarray
+    mix: np.ndarray
+
+
+def shared_model(effects: Sequence[type[AbstractEffect]]) -> AugmentedModel:
+    """Model with those of some effects that cost little: its program simulates any set of them.
+
+    Args:
+        effects: All that a diagnosis chooses from.
+    """
+    return AugmentedModel(tuple(e for e in effects if e.about.name not in COSTLY_EFFECTS))
+
+
+def program_within(model: AugmentedModel, shared: AugmentedModel) -> Program:
+    """The program that simulates a model: that of a larger one, with what this lacks.
+
+    A model has a program of its own where it is the reference model, where its shapes are held,
+    where a curve is in it, or where its effects act in another order than the larger one's.
+
+    Args:
+        model: The model.
+        shared: Model with many effects; those that the other lacks stay at their null.
+    """
+    alone, held, mix = model.program
+    lacking = sorted({*model.effects} - {*shared.effects}, key=lambda e: e.about.name)
+    whole = AugmentedModel((*shared.effects, *lacking))
+    fits = model.effects and model.shapes_are_free and alone.effects == model.effects
+    if not (shared.effects and fits and _in_one_order(model, whole)):
+        return Program(alone, held, np.zeros(len(mix)), mix)
+    start, rows = _within(model, whole)
+    mix = np.zeros((len(start), len(rows)))
+    mix[rows, np.arange(len(rows))] = 1
+    return Program(whole, ({},) * len(whole.effects), start, mix)
+
+
+def _in_one_order(model: AugmentedModel, whole: AugmentedModel) -> bool:
+    """Tell whether effects of a stage that has an order act in the same one in a larger model."""
+
+    def ordered(effects: Sequence[type[AbstractEffect]]) -> list[type[AbstractEffect]]:
+        return [e for e in effects if e in model.effects and e.about.stage in ORDERED_STAGES]
+
+    return ordered(model.effects) == ordered(whole.effects)
+
+
+def _within(model: AugmentedModel, whole: AugmentedModel) -> tuple[np.ndarray, list[int]]:
+    """Coordinates of a whole model where no effect of a part acts, and the places of the part's."""
+    places = {(whole.effects[f.index], f.field): row for row, f in enumerate(whole.free)}
+    rows = [places[model.effects[f.index], f.field] for f in model.free]
+    start = whole.null()
+    start[rows] = 0
+    return start, rows
+
+
 def with_effects(trial: Trial, effects: tuple[AbstractEffect, ...]) -> Trial:
     """The trial with effects added to what it has."""
     simulator = replace(trial.simulator, effects=trial.simulator.effects + effects)
@@ -188,6 +272,7 @@ def predict(
     observed: PaddedObservations,
     log_zeta: Float[Array, ""],
     coordinates: np.ndarray,
+    shared: AugmentedModel = REFERENCE,
 ) -> np.ndarray:
     """Simulate one run with effects, at its recorded times.
 
@@ -197,15 +282,16 @@ def predict(
         trial, observed: The run, padded like the others of its dataset.
         log_zeta: Logarithm of its zeta over its set-up's [-].
         coordinates: Free numbers of the effects, shape (free,).
+        shared: Model whose program simulates this one, if it may; see `program_within`.
 
     Returns:
         Simulated channels [m, N, N m], shape (channels, samples); NaN where the wheel sinks past
         the plates it carries.
     """
-    program, held, mix = model.program
-    at = jnp.asarray(mix @ coordinates, float)
+    program = program_within(model, shared)
+    at = jnp.asarray(program.start + program.mix @ coordinates, float)
     seen = _of_all_channels(observed, channels)
-    found = _simulate_compiled(program, held, CHANNELS, trial, seen, log_zeta, at)
+    found = _simulate_compiled(program.model, program.held, CHANNELS, trial, seen, log_zeta, at)
     return np.asarray(found)[_rows_of(channels)]
 
 
@@ -246,11 +332,9 @@ def directions_within(model: AugmentedModel, common: AugmentedModel) -> Directio
     if not (model.shapes_are_free and set(model.effects) <= set(common.effects)):
         program, held, mix = model.program
         return Directions(program, held, np.zeros(len(mix)), mix, len(model.free))
-    places = {(common.effects[f.index], f.field): row for row, f in enumerate(common.free)}
-    rows = [places[model.effects[f.index], f.field] for f in model.free]
+    start, rows = _within(model, common)
     columns = next(count for count in (*COLUMN_COUNTS, len(common.free)) if count >= len(rows))
-    start, mix = common.null(), np.zeros((len(common.free), columns))
-    start[rows] = 0
+    mix = np.zeros((len(common.free), columns))
     mix[rows, np.arange(len(rows))] = 1
     return Directions(common, ({},) * len(common.effects), start, mix, len(rows))
 

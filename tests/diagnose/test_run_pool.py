@@ -1,7 +1,7 @@
 """Threads over the runs of a dataset: work that is done once, and the longest runs first."""
 
 from concurrent.futures import ThreadPoolExecutor
-from threading import Lock
+from threading import Event, Lock
 
 import pytest
 
@@ -21,6 +21,21 @@ def test_work_of_one_key_is_done_once_whoever_asks():
         pool.map_outer(lambda _: pool.once("program", work), range(8))
         pool.once("another", work)
     assert len(done) == 2
+
+
+def test_work_that_is_begun_is_not_waited_for():
+    may_end, done = Event(), []
+
+    def work() -> None:
+        may_end.wait()
+        done.append(1)
+
+    with RunPool() as pool:
+        pool.begin("program", work)
+        assert not done
+        may_end.set()
+        pool.once("program", work)
+        assert done == [1]
 
 
 def test_everyone_who_waits_is_told_of_a_failure():

@@ -14,6 +14,7 @@ from diagnose.model.augmented_model import (
     directions_within,
     predict,
     predict_with_jacobian,
+    program_within,
     with_effects,
 )
 from diagnose.model.shared_programs import MIN_KNOT_COUNT, in_modes, program_of
@@ -164,6 +165,33 @@ def test_a_program_of_many_effects_differentiates_a_model_of_few_by_its_own_coor
     assert np.abs(value - expected_value).max() < ROUNDING
     assert np.abs(slope - expected).max() < ROUNDING
     assert np.abs(slope).max(axis=(0, 1)).min() > 1e-5
+
+
+def test_a_program_of_many_effects_simulates_a_model_of_few():
+    shared = AugmentedModel((Drawbar, TravelGain, MeasurementFilter))
+    few = AugmentedModel((Loosening, TravelGain))
+    program = program_within(few, shared)
+    assert program.model.effects == (*shared.effects, Loosening)
+    of = dataset().channels, dataset().trials[0], dataset().observations[0], as_real(0.01)
+    at = few.null() + np.linspace(0.3, 0.5, len(few.free))
+    alone, within = predict(few, *of, at), predict(few, *of, at, shared)
+    assert np.abs(within - alone).max() < ROUNDING
+    assert np.abs(alone - predict(few, *of, few.null())).max() > 1e3 * ROUNDING
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        AugmentedModel(),
+        AugmentedModel((Drawbar,), shapes_are_free=False),
+        AugmentedModel((MeasurementFilter, TravelGain)),
+        AugmentedModel((Drawbar, correction_class("zeta", "travel", PLACES["travel"]))),
+    ],
+    ids=["reference", "shapes held", "another order of readings", "a curve"],
+)
+def test_a_model_that_another_cannot_stand_for_has_a_program_of_its_own(model):
+    shared = AugmentedModel((Drawbar, TravelGain, MeasurementFilter))
+    assert program_within(model, shared).model == model.program[0]
 
 
 def test_models_of_as_many_numbers_share_a_program():
