@@ -51,6 +51,10 @@ class RefinementSettings:
         min_step_share: A step that gains nothing is halved until it is below this share of the
             proposed one [-].
         min_gain: Refinement ends where a simulation gains less log score [-].
+        min_detour: A simulation that gains nothing is gone on from, once for each best and with
+            derivatives computed there, where the step changed a run's log zeta by more than this
+            [-]. A change of the load, say, by which the zetas of all runs agree moves them far, and
+            the responses with them; no shorter step gains.
     """
 
     zeta_unit: float = 0.02
@@ -58,6 +62,7 @@ class RefinementSettings:
     floor_shares: tuple[float, ...] = (0.3, 0.1, 0.03)
     min_step_share: float = 0.1
     min_gain: float = 0.5
+    min_detour: float = 0.05
 
 
 DEFAULT_REFINEMENT = RefinementSettings()
@@ -88,7 +93,7 @@ def refine(
     else:
         zeta = start.log_zeta + start.proposed_step[0]
         coordinates = start.coordinates + start.proposed_step[1]
-    step_share = 1.0
+    step_share, is_detour = 1.0, False
     for turn in range(max_simulations):
         inside = np.minimum(coordinates, coordinate_bounds(here, "most"))
         moved = _simulate_with_update(regressors, here, zeta, inside, pool, settings)
@@ -100,9 +105,11 @@ def refine(
         if moved is None:
             step_share /= 4
         elif leading or moved.score > before:
-            here, step_share = moved, 1.0
+            here, step_share, is_detour = moved, 1.0, False
             if not leading and moved.score - before < settings.min_gain:
                 break
+        elif not is_detour and np.abs(moved.log_zeta - here.log_zeta).max() > settings.min_detour:
+            here, is_detour = relinearize(regressors, moved, pool), True
         else:
             # Not so far; but the simulation there has corrected the derivatives.
             here = replace(best or here, columns=moved.columns)

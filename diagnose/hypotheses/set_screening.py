@@ -48,6 +48,7 @@ class SetScreeningSettings:
         max_deficit: Of these none that is further behind the best in log score [-].
         number_cost: Log score that each number must gain by which one form of an effect has more
             than another [-]: what it costs in a weight, whose evidence counts half as much.
+        max_alike: Sets that one effect is added to before those with other effects come.
         sets_per_round: Sets that are simulated in one round.
         max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
         far_from_floor: Another round is made while the best set misses a block by more than this
@@ -68,6 +69,7 @@ class SetScreeningSettings:
     max_bases: int = 4
     max_deficit: float = np.inf
     number_cost: float = 3.0
+    max_alike: int = 2
     sets_per_round: int = 12
     max_rounds: int = 1
     far_from_floor: float = 5.0
@@ -91,7 +93,7 @@ DEFAULT_PAIRS = SetScreeningSettings()
 # A base of two effects or more is simulated and linearised again, so linear fits about it are
 # nearer to the truth than those about the reference model: fewer tries are enough.
 DEFAULT_LARGER_SETS = SetScreeningSettings(
-    max_bases=3, max_deficit=100.0, sets_per_round=8, max_continued=3, both_starts=1
+    max_bases=3, max_deficit=100.0, max_alike=1, sets_per_round=8, max_continued=3, both_starts=1
 )
 
 
@@ -121,6 +123,10 @@ class SetCandidate:
     build: Callable[[], Hypothesis]
 
 
+# By names of a set, by (whether the added effect starts at its null, names of the base).
+Starts = dict[frozenset[str], dict[tuple[bool, tuple[str, ...]], SetCandidate]]
+
+
 def refine_sets(
     regressors: Regressors,
     bases: Sequence[Hypothesis],
@@ -142,13 +148,14 @@ def refine_sets(
     Returns:
         Best first, but that the first few may be better still from another start.
     """
-    starts: dict[frozenset[str], dict[tuple[bool, tuple[str, ...]], SetCandidate]] = {}
+    starts: Starts = {}
     for each in set_candidates(regressors, bases, singles, pool, settings):
         # Two forms of one effect are no set: the verdict would name one, with two sets of numbers.
         if len(reported_names(each.names)) < len(each.names):
             continue
         key = each.from_null, each.base.names
         starts.setdefault(each.names, {}).setdefault(key, each)
+    starts = _varied(starts, settings.max_alike)
 
     def better_start(known: Hypothesis) -> Hypothesis:
         first, *others = starts[frozenset(known.names)].values()
@@ -183,6 +190,25 @@ def refine_sets(
     astray.sort(key=lambda each: ranks[frozenset(each.names)])
     again = {id(each): from_best_base(each) for each in astray[: settings.max_retries]}
     return [*map(better_start, leading), *(again.get(id(each), each) for each in rest)]
+
+
+def _varied(starts: Starts, max_alike: int) -> Starts:
+    """Starts in the same order, but that no effect is added too often before others are.
+
+    Bases that look alike lead with nearly one score, and the same few effects gain most beside each
+    of them.
+
+    Args:
+        starts: By names of the set, best first.
+        max_alike: Sets that one effect is added to before those with others come.
+    """
+    count: dict[frozenset[str], int] = {}
+    early, late = [], []
+    for names, kinds in starts.items():
+        added = names - {*next(iter(kinds.values())).base.names}
+        count[added] = count.get(added, 0) + 1
+        (early if count[added] <= max_alike else late).append(names)
+    return {names: starts[names] for names in (*early, *late)}
 
 
 def race(
