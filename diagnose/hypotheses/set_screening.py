@@ -49,10 +49,7 @@ class SetScreeningSettings:
         number_cost: Log score that each number must gain by which one form of an effect has more
             than another [-]: what it costs in a weight, whose evidence counts half as much.
         max_alike: Sets that one effect is added to before those with other effects come.
-        sets_per_round: Sets that are simulated in one round.
-        max_rounds: Rounds at most. One: a set that is ranked low is reached from a larger one, too.
-        far_from_floor: Another round is made while the best set misses a block by more than this
-            many model errors [-]: far from the null linear fits may rank the right set low.
+        sets_per_round: Sets that are simulated.
         max_simulations: Simulations of all runs for each set, at most.
         max_continued: Sets that get more than one: those that lead after it. Where the reference
             model is far off one simulation does not tell, and all get more.
@@ -71,8 +68,6 @@ class SetScreeningSettings:
     number_cost: float = 3.0
     max_alike: int = 2
     sets_per_round: int = 12
-    max_rounds: int = 1
-    far_from_floor: float = 5.0
     max_simulations: int = 3
     max_continued: int = 8
     both_starts: int = 2
@@ -155,7 +150,7 @@ def refine_sets(
             continue
         key = each.from_null, each.base.names
         starts.setdefault(each.names, {}).setdefault(key, each)
-    starts = _varied(starts, settings.max_alike)
+    starts = varied(starts, settings.max_alike)
 
     def better_start(known: Hypothesis) -> Hypothesis:
         first, *others = starts[frozenset(known.names)].values()
@@ -175,14 +170,9 @@ def refine_sets(
         return max([known, *again], key=lambda each: each.score)
 
     firsts = [next(iter(kinds.values())) for kinds in starts.values()]
-    found: list[Hypothesis] = []
-    for turn in range(settings.max_rounds):
-        first = turn * settings.sets_per_round
-        begun = [each.build() for each in firsts[first : first + settings.sets_per_round]]
-        found += race(regressors, begun, pool, settings, refinement)
-        found.sort(key=lambda each: -each.score)
-        if not found or _worst_miss(regressors, found[0]) <= settings.far_from_floor:
-            break
+    begun = [each.build() for each in firsts[: settings.sets_per_round]]
+    found = race(regressors, begun, pool, settings, refinement)
+    found.sort(key=lambda each: -each.score)
     leading, rest = found[: settings.both_starts], found[settings.both_starts :]
     # No set does worse than a part of it, unless its refinement went astray.
     ranks = {names: rank for rank, names in enumerate(starts)}
@@ -192,7 +182,7 @@ def refine_sets(
     return [*map(better_start, leading), *(again.get(id(each), each) for each in rest)]
 
 
-def _varied(starts: Starts, max_alike: int) -> Starts:
+def varied(starts: Starts, max_alike: int) -> Starts:
     """Starts in the same order, but that no effect is added too often before others are.
 
     Bases that look alike lead with nearly one score, and the same few effects gain most beside each
@@ -271,12 +261,6 @@ def without_effect(whole: Hypothesis, index: int) -> Hypothesis:
         is_simulated=False,
         proposed_step=(np.zeros_like(whole.log_zeta), np.zeros(len(kept))),
     )
-
-
-def _worst_miss(regressors: Regressors, best: Hypothesis) -> float:
-    """RMS of the worst block [model errors]; one at least."""
-    blocks = regressors.gram_matrices.blocks
-    return floor_inflation(blocks, best.fit.mean_square, 1.0, regressors.settings)
 
 
 def set_candidates(

@@ -106,23 +106,29 @@ def test_a_shape_found_alone_goes_into_the_pair(regressors, singles, pool):
     assert any(pair.coordinates[shape] in hardening.coordinates for pair in pairs)
 
 
-def test_while_the_best_pair_is_far_off_as_many_more_are_tried(
-    regressors, singles, pool, monkeypatch
-):
-    def with_the_truth_late(regressors, bases, singles, pool, settings):
-        all_of_them = list(set_candidates(regressors, singles, singles, pool))
-        others = dict.fromkeys(each.names for each in all_of_them if each.names != set(TRUTH))
-        order = [*list(others)[:FEW], frozenset(TRUTH), *list(others)[FEW:]]
-        return sorted(all_of_them, key=lambda each: order.index(each.names))
+@pytest.mark.parametrize("most", [1, 2])
+def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, monkeypatch, most):
+    """Bases that look alike would fill a round with the same few effects beside each of them."""
+    begun = []
 
-    monkeypatch.setattr("diagnose.hypotheses.set_screening.set_candidates", with_the_truth_late)
-    settings = SetScreeningSettings(sets_per_round=FEW, max_rounds=2, far_from_floor=np.inf)
-    near = refine_sets(regressors, singles, singles, pool, settings)
-    assert len(near) == FEW
-    assert set(TRUTH) not in [set(each.names) for each in near]
-    far = refine_sets(regressors, singles, singles, pool, replace(settings, far_from_floor=1.5))
-    assert len(far) == 2 * FEW
-    assert set(far[0].names) == set(TRUTH)
+    def as_they_begin(regressors, starts, pool, settings, refinement):
+        begun.extend(starts)
+        return list(starts)
+
+    monkeypatch.setattr(set_screening, "race", as_they_begin)
+    every = SetScreeningSettings(max_alike=most, sets_per_round=10**6, both_starts=0)
+    refine_sets(regressors, singles, singles, pool, every)
+    # The effect that is added comes last.
+    added = [each.names[-1] for each in begun]
+    early = len(added) - sum(max(added.count(name) - most, 0) for name in {*added})
+    assert most <= max(added.count(name) for name in added)
+    assert all(added[:early].count(name) <= most for name in added)
+    by_set = [frozenset(each.names) for each in begun]
+    begun.clear()
+    refine_sets(regressors, singles, singles, pool, replace(every, max_alike=10**6))
+    as_ranked = [frozenset(each.names) for each in begun]
+    assert by_set != as_ranked
+    assert {*by_set} == {*as_ranked}
 
 
 def test_an_effect_that_has_no_part_is_taken_out_again(regressors, singles, pairs, pool):
