@@ -18,6 +18,7 @@ from diagnose.gap.discretization_error import (
     beside_plates,
     changes_with_finer_plates,
     discretization_errors,
+    of_positions,
 )
 from diagnose.gap.gap import Gap, gaps
 from diagnose.gap.noise_floor import noise_floors
@@ -188,8 +189,7 @@ class _Diagnosing:
         )
         self.report("where the gap lies")
         places = list(localize(dataset, gap.before, dict(gap.floors), settings.localization))
-        notes = gap.notes
-        unknown, selected = None, gap.selected
+        notes, unknown, selected = gap.notes, None, gap.selected
         if weighed.verdict != (NONE,):
             unknown, more = self.explain_unknown(weighed, gap, places)
             places += more
@@ -201,8 +201,7 @@ class _Diagnosing:
         if selected.effects:
             notes += unmatched(dataset, selected.matches, WITH_EFFECTS_NAME)
         self.report("what to run next")
-        chosen = weighed.chosen
-        advice = {}
+        chosen, advice = weighed.chosen, {}
         if competing:
             advice = next_run(dataset, chosen, competing, gap.floors, self.pool, settings.next_run)
         is_listed = selected is gap.selected
@@ -320,8 +319,9 @@ class _Diagnosing:
             spread = float(np.var(zetas, ddof=1)) if len(zetas) > 1 else 0.0
             fitted = power(each.residual) if each.is_simulated else each.fit.mean_square
             scored.append(_scored(each, power(predicted.residual), fitted, spread))
-        matrices = regressors.gram_matrices
-        residuals = [each.residual for each in (none, *leading)]
+        matrices, residuals = regressors.gram_matrices, [e.residual for e in (none, *leading)]
+        by_repeats = repeat_variance(regressors.dataset, residuals, none.by_zeta)
+        by_plates = regressors.noise_power + power(of_positions(self.dataset, finer))
         return weights(
             scored,
             matrices.blocks,
@@ -329,7 +329,7 @@ class _Diagnosing:
             regressors.noise_power,
             len(matrices.log_zeta),
             self.settings.weights,
-            repeat_variance(regressors.dataset, residuals, none.by_zeta),
+            np.maximum(by_repeats, by_plates),
             regressors.settings,
         )
 

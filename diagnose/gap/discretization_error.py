@@ -119,6 +119,17 @@ def beside_plates(
     return [left + share * change for left, change in pairs]
 
 
+def of_positions(dataset: RigDataset, changes: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Changes of x and z alone; those of forces and torque, and what is not finite, are zero.
+
+    Args:
+        dataset: The runs.
+        changes: By `changes_with_finer_plates`.
+    """
+    rows = np.array([name not in FORCES for name in dataset.channels])[:, None]
+    return [np.where(rows & np.isfinite(each), each, 0.0) for each in changes]
+
+
 def zeta_response(
     dataset: RigDataset,
     run: int,

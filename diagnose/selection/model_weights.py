@@ -8,8 +8,9 @@ $$E(s, V) = -\tfrac12 \sum_b w_b N_b \ln(s_b + a_b) + \ln p(V),$$
 
 with $w$ the independent statements in a sample, $p(V)$ the evidence of the bed's scatter
 (`diagnose.linear.bed`), and $a_b$ the mean square that is not held against a model: its own error
-$(c\,\sigma_b)^2$, what repeats differ by beyond noise, and a share $\epsilon^2$ of what the
-reference model leaves beyond all these (likewise of V beyond the bed's scatter). The log weight is
+$(c\,\sigma_b)^2$, what repeats differ by beyond noise or finer plates change in x and z, and a
+share $\epsilon^2$ of what the reference model leaves beyond all these (likewise of V beyond the
+bed's scatter). The log weight is
 
 $$\ln W_h = u\,E(s^{\mathrm{held\,out}}_h, V^{\mathrm{held\,out}}_h)
   + (1 - u)\,E(s^{\mathrm{fitted}}_h, V_h) - \kappa k_h + \ln \pi_h,$$
@@ -142,9 +143,9 @@ def log_weights(
         noise_power: Mean square of the instruments' white noise in each block, shape (blocks,).
         runs: Number of runs.
         settings: Numbers of the weights.
-        repeat_power: Mean square of what repeats differ by in each block. What of it is beyond
-            noise and a model's own error is neither held against a model nor for `unknown` to
-            explain.
+        repeat_power: Mean square of what repeats differ by in each block, or finer plates with
+            noise. What of it is beyond noise and a model's own error is neither held against a
+            model nor for `unknown` to explain.
         linear_fit: For a model's own error and the scatter of zeta.
 
     Returns:
