@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset
-from diagnose.gap.discretization_error import beside_plates
+from diagnose.gap.discretization_error import beside_plates, of_positions
+from diagnose.model.augmented_model import AugmentedModel
 from diagnose.pipeline import diagnose
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.prepared_run import PreparedRun
+from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 TIME, OMEGA, RADIUS = [0.0, 0.3, 1.0, 2.5], [0.0, 0.0, 0.8, 0.8], 0.150
@@ -18,6 +20,8 @@ CHANNELS = ("z", "fx", "fz", "torque")
 # An effect that gains nothing costs 1.5 for its number and is less likely than none by 0.5 to
 # begin with: 0.12 at most. As a delay the plates would have 0.28.
 BY_CHANCE = 0.12
+# Where an effect is sure, or sure not to be.
+SURE = 0.9
 # What finer plates change in two runs, of which the second shows it three times as much.
 CHANGES = [size * np.stack([np.cos(np.arange(50.0)), np.sin(np.arange(50.0))]) for size in (1, 3)]
 
@@ -27,6 +31,15 @@ def driven(plate_share: float, number: int, ratio: float) -> PreparedRun:
     setup = setup_of((TIME, OMEGA), vx=[RADIUS * ratio * omega for omega in OMEGA])
     setup.wheel.plate_size *= plate_share
     return coarse(f"run {number}", recorded(setup, number, channels=CHANNELS, force_noise=0.01))
+
+
+def as_much_as_it_misses(dataset, log_zeta, pool, settings) -> list[np.ndarray]:
+    """Stands for finer plates: by run, what the reference model misses."""
+    model = AugmentedModel()
+    return [
+        dataset.prediction(model, run, log_zeta[run], np.zeros(0)) - dataset.recording(run)
+        for run in dataset.run_numbers
+    ]
 
 
 def left_of(share: float, channels: tuple[str, ...]) -> list[np.ndarray]:
@@ -61,3 +74,24 @@ def test_plates_that_come_to_bear_later_are_no_delay_of_the_instruments():
     found = diagnose(dataset, [effect_class("channel_delay"), effect_class("surface_slope")])
     assert found.verdict == ("none",)
     assert found.weights["channel_delay"] < BY_CHANCE
+
+
+def test_what_plates_change_in_x_and_z_is_nothing_for_unknown_to_explain(monkeypatch):
+    """A pull that no offered effect explains, and plates that would change as much as it does."""
+    dataset = dataset_with({"name": "drawbar", "force": 6.0})
+    effects = [effect_class("measurement_filter")]
+
+    def weight_of_unknown() -> float:
+        return diagnose(dataset, effects).weights["unknown"]
+
+    assert weight_of_unknown() > SURE
+    monkeypatch.setattr("diagnose.pipeline.changes_with_finer_plates", as_much_as_it_misses)
+    assert weight_of_unknown() < 1 - SURE
+
+
+def test_of_positions_only_x_and_z_count_and_what_is_finite():
+    bench: Any = SimpleNamespace(channels=("z", "fx"))
+    lost = np.full_like(CHANGES[1], np.nan)
+    first, second = of_positions(bench, [CHANGES[0], lost])
+    assert np.array_equal(first, [CHANGES[0][0], np.zeros(50)])
+    assert not second.any()
