@@ -163,11 +163,11 @@ class Regressors:
         """
         for each in models:
             self.dataset.compile(pool, predict, each, waits=False)
-        for whole in dict.fromkeys((self.dataset.shared, self.common_model)):
-            if not whole.effects:
-                continue
-            directions = directions_within(AugmentedModel(whole.effects[:1]), whole)
-            self.dataset.compile(pool, predict_with_jacobian, directions, waits=False)
+        wholes = {self.model_to_differentiate(each.effects) for each in models}
+        for whole in (self.dataset.shared, self.common_model):
+            if whole in wholes:
+                directions = directions_within(AugmentedModel(whole.effects[:1]), whole)
+                self.dataset.compile(pool, predict_with_jacobian, directions, waits=False)
 
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:
