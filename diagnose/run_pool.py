@@ -76,12 +76,8 @@ class RunPool:
         return list(self.outer.map(work, items))
 
     def begin(self, key: Hashable, work: Callable[[], object]) -> Future:
-        """Begin to compile a program by `work`, once for each key, and do not wait."""
+        """Begin to compile a program by `work`, once for each key; all wait for one."""
         with self.lock:
             if key not in self.begun:
                 self.begun[key] = self.compiling.submit(work)
             return self.begun[key]
-
-    def once(self, key: Hashable, work: Callable[[], object]) -> None:
-        """Compile a program by `work`, once for each key; every other caller waits until it is."""
-        self.begin(key, work).result()

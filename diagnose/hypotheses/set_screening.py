@@ -48,7 +48,7 @@ class SetScreeningSettings:
         max_deficit: Of these none that is further behind the best in log score [-].
         number_cost: Log score that each number must gain by which one form of an effect has more
             than another [-]: what it costs in a weight, whose evidence counts half as much.
-        max_alike: Sets that one effect is added to before those with other effects come.
+        max_per_effect: Sets that one effect is added to before those with other effects come.
         sets_per_round: Sets that are simulated.
         max_simulations: Simulations of all runs for each set, at most.
         max_continued: Sets that get more than one: those that lead after it. Where the reference
@@ -66,7 +66,7 @@ class SetScreeningSettings:
     max_bases: int = 4
     max_deficit: float = np.inf
     number_cost: float = 3.0
-    max_alike: int = 2
+    max_per_effect: int = 2
     sets_per_round: int = 12
     max_simulations: int = 3
     max_continued: int = 8
@@ -88,7 +88,12 @@ DEFAULT_PAIRS = SetScreeningSettings()
 # A base of two effects or more is simulated and linearised again, so linear fits about it are
 # nearer to the truth than those about the reference model: fewer tries are enough.
 DEFAULT_LARGER_SETS = SetScreeningSettings(
-    max_bases=3, max_deficit=100.0, max_alike=1, sets_per_round=8, max_continued=3, both_starts=1
+    max_bases=3,
+    max_deficit=100.0,
+    max_per_effect=1,
+    sets_per_round=8,
+    max_continued=3,
+    both_starts=1,
 )
 
 
@@ -150,7 +155,7 @@ def refine_sets(
             continue
         key = each.from_null, each.base.names
         starts.setdefault(each.names, {}).setdefault(key, each)
-    starts = varied(starts, settings.max_alike)
+    starts = varied(starts, settings.max_per_effect)
 
     def better_start(known: Hypothesis) -> Hypothesis:
         first, *others = starts[frozenset(known.names)].values()
@@ -182,22 +187,21 @@ def refine_sets(
     return [*map(better_start, leading), *(again.get(id(each), each) for each in rest)]
 
 
-def varied(starts: Starts, max_alike: int) -> Starts:
+def varied(starts: Starts, max_per_effect: int) -> Starts:
     """Starts in the same order, but that no effect is added too often before others are.
 
-    Bases that look alike lead with nearly one score, and the same few effects gain most beside each
-    of them.
+    Beside bases that look alike, which lead with nearly one score, the same few gain most.
 
     Args:
         starts: By names of the set, best first.
-        max_alike: Sets that one effect is added to before those with others come.
+        max_per_effect: Sets that one effect is added to before those with others come.
     """
     count: dict[frozenset[str], int] = {}
     early, late = [], []
     for names, kinds in starts.items():
         added = names - {*next(iter(kinds.values())).base.names}
         count[added] = count.get(added, 0) + 1
-        (early if count[added] <= max_alike else late).append(names)
+        (early if count[added] <= max_per_effect else late).append(names)
     return {names: starts[names] for names in (*early, *late)}
 
 

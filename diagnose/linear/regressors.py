@@ -290,7 +290,7 @@ def _parts(
 
 def _products(parts: Sequence[np.ndarray]) -> Products:
     """Gram matrix and number of statements of each block's columns, shape (statements, n)."""
-    # A response that grows without bounds has no finite products, and no fit takes it.
+    # A response that grows without bounds has no finite products.
     with np.errstate(over="ignore", invalid="ignore"):
         return [part.T @ part for part in parts], [len(part) for part in parts]
 

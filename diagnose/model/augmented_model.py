@@ -6,7 +6,7 @@ about the same size. Programs of different effects run side by side in threads.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import equinox as eqx
 import jax
@@ -174,6 +174,7 @@ def shared_model(effects: Sequence[type[AbstractEffect]]) -> AugmentedModel:
     return AugmentedModel(tuple(e for e in effects if e.about.name not in COSTLY_EFFECTS))
 
 
+@cache
 def program_within(model: AugmentedModel, shared: AugmentedModel) -> Program:
     """The program that simulates a model: that of a larger one, with what this lacks.
 

@@ -18,8 +18,8 @@ def test_work_of_one_key_is_done_once_whoever_asks():
             done.append(1)
 
     with RunPool() as pool:
-        pool.map_outer(lambda _: pool.once("program", work), range(8))
-        pool.once("another", work)
+        pool.map_outer(lambda _: pool.begin("program", work).result(), range(8))
+        pool.begin("another", work).result()
     assert len(done) == 2
 
 
@@ -34,7 +34,7 @@ def test_work_that_is_begun_is_not_waited_for():
         pool.begin("program", work)
         assert not done
         may_end.set()
-        pool.once("program", work)
+        pool.begin("program", work).result()
         assert done == [1]
 
 
@@ -45,7 +45,7 @@ def test_everyone_who_waits_is_told_of_a_failure():
     with RunPool() as pool:
         for _ in range(2):
             with pytest.raises(ValueError, match="does not compile"):
-                pool.once("program", work)
+                pool.begin("program", work).result()
 
 
 def test_the_longest_run_is_begun_first_and_each_result_is_its_runs():

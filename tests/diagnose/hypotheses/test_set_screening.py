@@ -116,7 +116,7 @@ def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, m
         return list(starts)
 
     monkeypatch.setattr(set_screening, "race", as_they_begin)
-    every = SetScreeningSettings(max_alike=most, sets_per_round=10**6, both_starts=0)
+    every = SetScreeningSettings(max_per_effect=most, sets_per_round=10**6, both_starts=0)
     refine_sets(regressors, singles, singles, pool, every)
     # The effect that is added comes last.
     added = [each.names[-1] for each in begun]
@@ -125,7 +125,7 @@ def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, m
     assert all(added[:early].count(name) <= most for name in added)
     by_set = [frozenset(each.names) for each in begun]
     begun.clear()
-    refine_sets(regressors, singles, singles, pool, replace(every, max_alike=10**6))
+    refine_sets(regressors, singles, singles, pool, replace(every, max_per_effect=10**6))
     as_ranked = [frozenset(each.names) for each in begun]
     assert by_set != as_ranked
     assert {*by_set} == {*as_ranked}
