@@ -17,6 +17,7 @@ import numpy as np
 
 from diagnose.change.differences.gram import Differences, SharedClock
 from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem
+from diagnose.linear.linear_fit import block_names
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,14 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
     differences = problem.differences
     deviation = problem.deviation(chosen)
     without = problem.residual_at_common_zeta()
-    left = chosen.residual
-    steady = [r - z * d for r, z, d in zip(left, chosen.by_zeta, deviation, strict=True)]
-    scattered = [r + z * d for r, z, d in zip(without, problem.by_zeta, deviation, strict=True)]
+    factors = _zeta_factors(problem, chosen)
+    whole = deviation + problem.common_change(chosen)
+    of_each = zip(chosen.residual, chosen.by_zeta, whole, strict=True)
+    left = [r + factors * z * d for r, z, d in of_each]
+    response = [(1 + factors) * z for z in chosen.by_zeta]
+    steady = [r - z * d for r, z, d in zip(left, response, deviation, strict=True)]
+    response = [(1 + factors) * z for z in problem.by_zeta]
+    scattered = [r + z * d for r, z, d in zip(without, response, deviation, strict=True)]
     if not len(chosen.coordinates):
         # No change acts: all is zeta's scatter, what is left, and noise.
         steady, scattered = without, left
@@ -74,6 +80,14 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
             )
         )
     return found
+
+
+def _zeta_factors(problem: ChangeProblem, chosen: ChangeHypothesis) -> np.ndarray:
+    """Factors on the channels' responses to zeta, less one [-], shape (channels, 1)."""
+    blocks = block_names(problem.differences.dataset.channels)
+    factors = chosen.fit.zeta_factors
+    found = {channel: each for (channel, _), each in zip(blocks, factors, strict=True)}
+    return np.array([[found[channel]] for channel in problem.differences.dataset.channels])
 
 
 def _powers(differences: Differences, residual: Sequence[np.ndarray]) -> np.ndarray:

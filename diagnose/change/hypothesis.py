@@ -144,7 +144,11 @@ class ChangeProblem:
 
     def deviation(self, here: ChangeHypothesis) -> np.ndarray:
         """Log zeta of each run beyond its condition's and beyond a common change [-]."""
-        return here.log_zeta - self.common - here.common_zeta * self.differences.is_now
+        return here.log_zeta - self.common - self.common_change(here)
+
+    def common_change(self, here: ChangeHypothesis) -> np.ndarray:
+        """Change of log zeta that the runs of now share, in each run [-], shape (runs,)."""
+        return here.common_zeta * self.differences.is_now
 
     def fit(
         self,
@@ -153,11 +157,12 @@ class ChangeProblem:
         deviation: np.ndarray,
         prior: CoefficientPrior,
         error_share: float,
+        common: np.ndarray | float = 0.0,
     ) -> DifferenceFit:
         """Fit of some columns of Gram matrices; see `fit_differences`."""
         free = self.differences.degrees_of_freedom
         return fit_differences(
-            matrices, columns, deviation, free, prior, error_share, self.settings
+            matrices, columns, deviation, free, prior, error_share, self.settings, common
         )
 
     def gram(self, here: ChangeHypothesis, pool: RunPool) -> DifferenceGram:
@@ -170,7 +175,8 @@ class ChangeProblem:
         share = settings.simulated_error if here.is_simulated else settings.linear_error
         free = range(len(here.coordinates))
         prior = here.coordinate_prior(settings)
-        return self.fit(self.gram(here, pool), free, self.deviation(here), prior, share)
+        at = self.deviation(here), prior, share, self.common_change(here)
+        return self.fit(self.gram(here, pool), free, *at)
 
     # The explanations about the reference model ---------------------------------------------------
 

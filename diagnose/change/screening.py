@@ -262,11 +262,7 @@ def _simulate(
 
 def _score(problem: ChangeProblem, here: ChangeHypothesis, pool: RunPool) -> DifferenceFit:
     """Score of simulated residuals as they are: a fit that moves nothing."""
-    gram = problem.differences.gram(
-        [each[:, :, :0] for each in here.columns],
-        [np.zeros_like(each) for each in here.by_zeta],
-        here.residual,
-        pool,
-    )
-    free = problem.differences.degrees_of_freedom
-    return score_differences(gram, problem.deviation(here), free, problem.settings)
+    no_columns = [each[:, :, :0] for each in here.columns]
+    gram = problem.differences.gram(no_columns, here.by_zeta, here.residual, pool)
+    free, common = problem.differences.degrees_of_freedom, problem.common_change(here)
+    return score_differences(gram, problem.deviation(here), free, problem.settings, common)

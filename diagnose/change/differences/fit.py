@@ -11,6 +11,10 @@ and $\sigma_b^2$ the mean square below which nothing is asked of a model. The la
 evidence of the log zetas by the scatter of the bed (`diagnose.linear.bed`). $\zeta_i$ counts from a
 value that the condition's runs share, so the contrasts are the runs less the conditions. The fit
 maximises the score, with Gaussian priors on $\theta$, by iteratively reweighted least squares.
+
+How far another zeta moves x for a millimetre of z is a matter of the sand's law, which is not the
+model's. So the response of each channel c but z to zeta has a factor $1 + \phi_c$, the same in all
+runs, with a Gaussian prior on $\phi_c$ that belongs to the score.
 """
 
 from collections.abc import Sequence
@@ -45,7 +49,7 @@ class CoefficientPrior:
 
 @dataclass(frozen=True, eq=False)
 class DifferenceFit:
-    """Coefficients, log zetas, and what they leave.
+    r"""Coefficients, log zetas, and what they leave.
 
     Attributes:
         score: Log score.
@@ -53,8 +57,9 @@ class DifferenceFit:
         zeta_change: Change of each run's log zeta [-], shape (runs,).
         mean_square: $s_b$, shape (blocks,), in the blocks' units squared.
         response_error: $e_b$, likewise.
-        zeta_score: The part of the score that zeta's scatter has.
+        zeta_score: The part of the score that zeta's scatter and the factors have.
         scatter: Scatter of log zeta between runs, as the fit finds it [-].
+        zeta_factors: $\phi_c$ in each block [-], shape (blocks,).
     """
 
     score: float
@@ -64,6 +69,7 @@ class DifferenceFit:
     response_error: np.ndarray
     zeta_score: float
     scatter: float
+    zeta_factors: np.ndarray
 
 
 def fit_differences(
@@ -74,6 +80,7 @@ def fit_differences(
     prior: CoefficientPrior,
     error_share: float,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
+    common: np.ndarray | float = 0.0,
 ) -> DifferenceFit:
     """Maximise the log score over some columns' coefficients and each run's log zeta.
 
@@ -85,26 +92,30 @@ def fit_differences(
         prior: Of the coefficients.
         error_share: Share of the columns' response that may be wrong [-].
         settings: Numbers of the fit.
+        common: Log zeta of each run beyond `deviation` that is no scatter [-], shape (runs,).
     """
     runs, width = len(deviation), len(columns)
-    gram = matrices.of_columns(columns, runs)
+    response = _ZetaResponse(matrices, matrices.of_columns(columns, runs), settings)
     worth = matrices.worth(settings)
     floor = matrices.floor(settings)
-    mean_square = matrices.mean_square(gram, np.r_[np.zeros(width + runs), 1.0])
+    mean_square = matrices.mean_square(response.gram, np.r_[np.zeros(width + runs), 1.0])
     response_error = np.zeros(len(mean_square))
-    own = deviation
+    own, gram, factors = deviation, response.gram, np.zeros(len(mean_square))
     change = np.zeros(width + runs)
     for _ in range(settings.iterations):
         weight = worth / np.maximum(matrices.count, 1) / (mean_square + response_error + floor)
         variance = 1 / settings.bed.hold(_mean_square(own, degrees_of_freedom), degrees_of_freedom)
         change = _solve(np.einsum("b,bij->ij", weight, gram), variance, deviation, prior)
+        own = deviation + change[width:]
+        factors = response.factors(weight, change, own + common)
+        gram = response.with_factors(factors, deviation + common)
         mean_square = matrices.mean_square(gram, np.r_[change, 1.0])
         alone = np.r_[change[:width], np.zeros(runs + 1)]
         response_error = error_share**2 * matrices.mean_square(gram, alone)
-        own = deviation + change[width:]
+        response_error += response.error(own + common)
     return _scored(
         matrices, change[:width], change[width:], own, degrees_of_freedom, mean_square,
-        response_error, settings,
+        response_error, factors, settings,
     )  # fmt: skip
 
 
@@ -113,22 +124,89 @@ def score_differences(
     deviation: np.ndarray,
     degrees_of_freedom: int,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
+    common: np.ndarray | float = 0.0,
 ) -> DifferenceFit:
-    """Score of residuals as they are: a fit that changes nothing.
+    """Score of residuals as they are: a fit that changes the factors on zeta's response alone.
 
     Args:
-        matrices: Gram matrices, of any columns.
+        matrices: Gram matrices, of no columns.
         deviation: Log zeta of each run over its condition's [-], shape (runs,).
         degrees_of_freedom: Runs less conditions.
         settings: Numbers of the score.
+        common: As for `fit_differences`.
     """
-    still = np.zeros(matrices.gram.shape[-1])
-    still[-1] = 1.0
-    mean_square = matrices.mean_square(matrices.gram, still)
+    still = np.zeros(len(deviation))
+    response = _ZetaResponse(matrices, matrices.of_columns((), len(deviation)), settings)
+    gram, factors = response.gram, np.zeros(len(matrices.blocks))
+    mean_square = matrices.mean_square(gram, np.r_[still, 1.0])
+    response_error = response.error(deviation + common)
+    floor = matrices.floor(settings) + response_error
+    for _ in range(settings.iterations):
+        weight = matrices.worth(settings) / np.maximum(matrices.count, 1) / (mean_square + floor)
+        factors = response.factors(weight, still, deviation + common)
+        gram = response.with_factors(factors, deviation + common)
+        mean_square = matrices.mean_square(gram, np.r_[still, 1.0])
     return _scored(
-        matrices, np.zeros(0), np.zeros(len(deviation)), deviation, degrees_of_freedom, mean_square,
-        np.zeros(len(mean_square)), settings,
+        matrices, np.zeros(0), still, deviation, degrees_of_freedom, mean_square,
+        response_error, factors, settings,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _ZetaResponse:
+    """The responses to zeta, each channel's but that of z with a factor of its own.
+
+    Attributes:
+        matrices: Of the runs.
+        gram: Of (coefficients..., log zeta of each run, residual), shape (blocks, n, n).
+        settings: For the prior on the factors.
+    """
+
+    matrices: DifferenceGram
+    gram: np.ndarray
+    settings: DifferenceFitSettings
+
+    def factors(self, weight: np.ndarray, change: np.ndarray, log_zeta: np.ndarray) -> np.ndarray:
+        """Likeliest factors, less one [-], shape (blocks,); zero for z, which measures zeta.
+
+        Args:
+            weight: Of each block's sum of squares.
+            change: Coefficients and changes of log zeta of a fit, shape (n - 1,).
+            log_zeta: Log zeta of each run over its condition's [-], shape (runs,).
+        """
+        by_zeta = self.gram @ np.r_[np.zeros(len(change) - len(log_zeta)), log_zeta, 0.0]
+        square = by_zeta[:, -1 - len(log_zeta) : -1] @ log_zeta
+        product = by_zeta @ np.r_[change, 1.0]
+        found = np.zeros(len(self.matrices.blocks))
+        for channel in {channel for channel, _ in self.matrices.blocks if channel != "z"}:
+            at = np.array([each == channel for each, _ in self.matrices.blocks])
+            held = weight[at] @ square[at] + self.settings.zeta_factor_prior**-2
+            found[at] = -(weight[at] @ product[at]) / held
+        return found
+
+    def error(self, log_zeta: np.ndarray) -> np.ndarray:
+        """Mean square by which the responses may be wrong as the law is another, shape (blocks,).
+
+        Args:
+            log_zeta: Log zeta of each run over its condition's [-], shape (runs,).
+        """
+        before = self.gram.shape[-1] - 1 - len(log_zeta)
+        whole = self.matrices.mean_square(self.gram, np.r_[np.zeros(before), log_zeta, 0.0])
+        return self.settings.simulated_error**2 * whole
+
+    def with_factors(self, factors: np.ndarray, log_zeta: np.ndarray) -> np.ndarray:
+        """Gram matrices with these factors; the residual has them for the zeta that it is at.
+
+        Args:
+            factors: By block, less one [-], shape (blocks,).
+            log_zeta: Of each run where the residual is, over its condition's [-], shape (runs,).
+        """
+        size, runs = self.gram.shape[-1], len(log_zeta)
+        own = np.arange(size - 1 - runs, size - 1)
+        turn = np.zeros((len(factors), size, size)) + np.eye(size)
+        turn[:, own, own] += factors[:, None]
+        turn[:, own, -1] = factors[:, None] * log_zeta
+        return np.swapaxes(turn, 1, 2) @ self.gram @ turn
 
 
 def _scored(
@@ -139,13 +217,16 @@ def _scored(
     degrees_of_freedom: int,
     mean_square: np.ndarray,
     response_error: np.ndarray,
+    factors: np.ndarray,
     settings: DifferenceFitSettings,
 ) -> DifferenceFit:
     """A fit with its score."""
     worth = matrices.worth(settings)
     floor = matrices.floor(settings)
     scatter = _mean_square(deviation, degrees_of_freedom)
-    zeta_score = settings.bed.evidence(scatter, degrees_of_freedom)
+    by_channel = dict(zip((channel for channel, _ in matrices.blocks), factors, strict=True))
+    of_factors = sum((each / settings.zeta_factor_prior) ** 2 for each in by_channel.values())
+    zeta_score = settings.bed.evidence(scatter, degrees_of_freedom) - 0.5 * float(of_factors)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
     return DifferenceFit(
         evidence + zeta_score,
@@ -155,6 +236,7 @@ def _scored(
         response_error,
         zeta_score,
         float(settings.bed.hold(scatter, degrees_of_freedom) ** -0.5),
+        factors,
     )
 
 

@@ -22,6 +22,9 @@ class DifferenceFitSettings:
         shape_prior: Width of the prior on a shape's logarithm about where it starts [-].
         zeta_prior: Width of the prior on a common change of log zeta [-]: sand that was dug over
             or dried changes by a tenth, another sand may be of half the strength.
+        zeta_factor_prior: Width of the prior on the factor by which a channel's response to zeta
+            may be off [-]: laws whose coefficients and exponents differ as those of common sands
+            do move x by half or by twice as much.
         linear_error: Share of a response that may be wrong for being linear, and for the sand's
             law being another [-].
         simulated_error: Share that may be wrong for the law alone, where a simulation gives the
@@ -35,6 +38,7 @@ class DifferenceFitSettings:
     strength_prior: float = 5.0
     shape_prior: float = 0.7
     zeta_prior: float = 0.5
+    zeta_factor_prior: float = 0.3
     linear_error: float = 0.15
     simulated_error: float = 0.05
     iterations: int = 10

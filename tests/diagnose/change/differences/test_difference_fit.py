@@ -1,5 +1,6 @@
 """Deviations from a condition's mean, fits of them, and their score, against plain algebra."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 from diagnose.change.differences.conditions import MatchedCondition
-from diagnose.change.differences.fit import CoefficientPrior, fit_differences
+from diagnose.change.differences.fit import CoefficientPrior, fit_differences, score_differences
 from diagnose.change.differences.gram import DifferenceGram, Differences
 from diagnose.change.differences.settings import DifferenceFitSettings
 from diagnose.linear.bed import PreparedBed
@@ -16,13 +17,17 @@ from diagnose.linear.bed import PreparedBed
 ROUNDING = 1e-10
 # A reweighted fit ends where another step gains nothing; a general optimiser where it believes so.
 OPTIMUM = 1e-4
-SETTINGS = DifferenceFitSettings(iterations=200, linear_error=0.0)
+SETTINGS = DifferenceFitSettings(iterations=200, linear_error=0.0, simulated_error=0.0)
 
 
-def differences_of(times: list[np.ndarray], conditions: list[MatchedCondition]) -> Differences:
-    """Differences of runs that have one channel, z, at these times."""
+def differences_of(
+    times: list[np.ndarray],
+    conditions: list[MatchedCondition],
+    channels: tuple[str, ...] = ("z",),
+) -> Differences:
+    """Differences of runs that have these channels at these times."""
     dataset = SimpleNamespace(
-        channels=("z",), runs=times, run_numbers=range(len(times)), time=lambda run: times[run]
+        channels=channels, runs=times, run_numbers=range(len(times)), time=lambda run: times[run]
     )
     return Differences.of(dataset, conditions)  # pyright: ignore[reportArgumentType]
 
@@ -135,3 +140,41 @@ def test_bounds_hold_and_the_others_fit_around_them():
     assert held.coefficients[0] == pytest.approx(bound.least[0])
     assert held.coefficients[1] != pytest.approx(loose.coefficients[1])
     assert held.score < loose.score
+
+
+def test_another_law_moves_x_further_for_the_same_sinkage():
+    time = np.arange(0, 4, 0.05)
+    conditions = [MatchedCondition((run,), (run + 1,)) for run in (0, 2, 4)]
+    differences = differences_of([time] * 6, conditions, ("z", "x"))
+    random = np.random.default_rng(5)
+    by_zeta = [1e-2 * (1 + random.random((2, 1))) * np.stack([time, time**2]) for _ in range(6)]
+    scatter = 0.01 * np.array([-1, 1, 0.5, -0.5, 0.3, -0.3])
+    # The sand moves x by 1.4 times what the model does.
+    of_sand = [z * np.array([[1.0], [1.4]]) for z in by_zeta]
+    residual = [-z * own for z, own in zip(of_sand, scatter, strict=True)]
+    nothing = [np.zeros((2, len(time), 0)) for _ in range(6)]
+    matrices = gram_of(differences, nothing, by_zeta, residual)
+
+    def fit(prior: float, at: np.ndarray | None = None):
+        settings = replace(SETTINGS, zeta_factor_prior=prior)
+        free = CoefficientPrior.free(np.zeros(0))
+        if at is None:
+            return fit_differences(matrices, (), np.zeros(6), 3, free, 0.0, settings)
+        moved = [r + z * own for r, z, own in zip(residual, by_zeta, at, strict=True)]
+        there = gram_of(differences, nothing, by_zeta, moved)
+        return score_differences(there, at, 3, settings)
+
+    wide, held = fit(100.0), fit(1e-6)
+    of_x = [channel == "x" for channel, _ in matrices.blocks]
+    # The bed's scatter holds zeta back a little, and the factor makes up for it.
+    np.testing.assert_allclose(wide.zeta_factors[of_x], 0.4, atol=0.02)
+    assert not wide.zeta_factors[np.logical_not(of_x)].any()
+    assert wide.mean_square[of_x].sum() < 1e-4 * held.mean_square[of_x].sum()
+    # A score of residuals that are there finds the same factors as the fit that leads there.
+    there = fit(100.0, wide.zeta_change)
+    np.testing.assert_allclose(there.zeta_factors, wide.zeta_factors, rtol=1e-6)
+    assert there.score == pytest.approx(wide.score, rel=1e-9)
+    # What the prior asks of them is counted: a factor of two thirds of its width costs 2/9.
+    narrow = fit(0.6, wide.zeta_change)
+    cost = narrow.zeta_score - there.zeta_score
+    assert cost == pytest.approx(-0.5 * (narrow.zeta_factors[of_x][0] / 0.6) ** 2, rel=1e-3)
