@@ -258,13 +258,14 @@ class RigDataset:
             pool: Threads.
             directions: Of a model.
             log_zeta: Logarithm of each run's zeta over its set-up's [-], shape (runs,).
-            coordinates: The model's free numbers, shape (free,).
+            coordinates: The model's free numbers, shape (free,) or (runs, free).
 
         Returns:
             By (own log zeta, free numbers) [m, N, N m], each of shape (channels, samples, 1 +
             free).
         """
         self.compile(pool, predict_with_jacobian, directions)
+        of_runs = np.broadcast_to(coordinates, (len(self.runs), np.shape(coordinates)[-1]))
 
         def of(run: int) -> np.ndarray:
             _, slope = predict_with_jacobian(
@@ -273,7 +274,7 @@ class RigDataset:
                 self.trials[run],
                 self.observations[run],
                 as_real(log_zeta[run]),
-                coordinates,
+                of_runs[run],
             )
             counts = self.counts(run)
             return slope[:, : len(counts)][:, counts]

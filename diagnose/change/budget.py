@@ -49,10 +49,10 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
         chosen: The explanation.
     """
     differences = problem.differences
-    deviation = problem.deviation(chosen)
+    deviation = differences.centring @ problem.deviation(chosen)
     without = problem.residual_at_common_zeta()
     factors = _zeta_factors(problem, chosen)
-    whole = deviation + problem.common_change(chosen)
+    whole = deviation + differences.centring @ problem.common_change(chosen)
     of_each = zip(chosen.residual, chosen.by_zeta, whole, strict=True)
     left = [r + factors * z * d for r, z, d in of_each]
     response = [(1 + factors) * z for z in chosen.by_zeta]

@@ -225,7 +225,8 @@ def _parameters(
     prior, matrices = chosen.coordinate_prior(problem.settings), problem.gram(chosen, pool)
     error = settings.error
     worth = worth_by_block(matrices.blocks, error.slow_worth, error.fast_worth)
-    precision = information(matrices, chosen.fit, prior, worth, problem.settings)
+    centring = problem.differences.centring
+    precision = information(matrices, chosen.fit, centring, prior, worth, problem.settings)
     spread = np.sqrt(np.diag(np.linalg.inv(precision)))[: len(prior.width)]
     if chosen.zeta_changes:
         change = float(np.expm1(chosen.common_zeta))

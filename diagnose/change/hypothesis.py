@@ -10,6 +10,7 @@ from diagnose.change.differences.fit import CoefficientPrior, DifferenceFit, fit
 from diagnose.change.differences.gram import DifferenceGram, Differences
 from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 from diagnose.hypotheses.hypothesis import column_mixes, mix_columns
+from diagnose.linear.linear_fit import floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
@@ -144,7 +145,26 @@ class ChangeProblem:
 
     def deviation(self, here: ChangeHypothesis) -> np.ndarray:
         """Log zeta of each run beyond its condition's and beyond a common change [-]."""
-        return here.log_zeta - self.common - self.common_change(here)
+        side = here.side if here.model.effects or here.zeta_changes else None
+        return self.deviation_from(side, here.log_zeta) - self.common_change(here)
+
+    def deviation_from(self, side: Side | None, log_zeta: np.ndarray) -> np.ndarray:
+        """Log zeta of each run beyond that of its condition's runs which a change left alone [-].
+
+        Args:
+            side: The side that changed; none where nothing did.
+            log_zeta: Of each run over its set-up's [-], shape (runs,).
+        """
+        believed = self.regressors.log_reference_zeta
+        matched = self.regressors.log_zeta + believed
+        healthy = [
+            {"now": each.before, "before": each.now, None: each.runs}[side]
+            for each in (clock.condition for clock in self.differences.clocks)
+        ]
+        found = log_zeta + believed
+        for clock, runs in zip(self.differences.clocks, healthy, strict=True):
+            found[list(clock.condition.runs)] -= matched[list(runs)].mean()
+        return found
 
     def common_change(self, here: ChangeHypothesis) -> np.ndarray:
         """Change of log zeta that the runs of now share, in each run [-], shape (runs,)."""
@@ -158,25 +178,34 @@ class ChangeProblem:
         prior: CoefficientPrior,
         error_share: float,
         common: np.ndarray | float = 0.0,
+        inflation: float = 1.0,
     ) -> DifferenceFit:
         """Fit of some columns of Gram matrices; see `fit_differences`."""
-        free = self.differences.degrees_of_freedom
-        return fit_differences(
-            matrices, columns, deviation, free, prior, error_share, self.settings, common
-        )
+        at = deviation, self.differences.centring, prior, error_share
+        return fit_differences(matrices, columns, *at, self.settings, common, inflation)
 
     def gram(self, here: ChangeHypothesis, pool: RunPool) -> DifferenceGram:
         """Gram matrices about a hypothesis."""
         return self.differences.gram(here.columns, here.by_zeta, here.residual, pool)
 
-    def fit_about(self, here: ChangeHypothesis, pool: RunPool) -> DifferenceFit:
-        """Linear fit of all coordinates' changes about a hypothesis."""
-        settings = self.settings
+    def fit_about(
+        self, here: ChangeHypothesis, pool: RunPool, floor_share: float = 0.0
+    ) -> DifferenceFit:
+        """Linear fit of all coordinates' changes about a hypothesis.
+
+        Args:
+            here: The hypothesis.
+            pool: Threads.
+            floor_share: Every model error is raised to this share of the worst block's RMS in model
+                errors [-].
+        """
+        settings, matrices = self.settings, self.gram(here, pool)
         share = settings.simulated_error if here.is_simulated else settings.linear_error
         free = range(len(here.coordinates))
         prior = here.coordinate_prior(settings)
-        at = self.deviation(here), prior, share, self.common_change(here)
-        return self.fit(self.gram(here, pool), free, *at)
+        inflation = floor_inflation(matrices.blocks, here.fit.mean_square, floor_share)
+        at = self.deviation(here), prior, share, self.common_change(here), inflation
+        return self.fit(matrices, free, *at)
 
     # The explanations about the reference model ---------------------------------------------------
 
@@ -259,13 +288,11 @@ def chance_power(
     matrices = sides.gram(nothing, by_zeta, regressors.residual, pool)
     log_zeta = regressors.log_zeta + regressors.log_reference_zeta
     deviation = log_zeta - sides.mean_by_condition(log_zeta)
-    members = [run for clock in sides.clocks for run in clock.condition.runs]
-    deviation[np.setdiff1d(np.arange(len(deviation)), members)] = 0.0
     fit = fit_differences(
         matrices,
         (),
         deviation,
-        sides.degrees_of_freedom,
+        sides.centring,
         CoefficientPrior.free(np.zeros(0)),
         0.0,
         settings,

@@ -16,7 +16,7 @@ from diagnose.hypotheses.hypothesis import lower_bounds
 from diagnose.hypotheses.refinement import broyden_update
 from diagnose.linear.linear_fit import Block
 from diagnose.linear.regressors import ShapeVariant
-from diagnose.model.augmented_model import AugmentedModel, predict
+from diagnose.model.augmented_model import AugmentedModel, directions_within, predict
 from diagnose.run_pool import RunPool
 
 
@@ -28,7 +28,13 @@ class ChangeScreeningSettings:
         max_simulated: Effects that are simulated, at most, the best linear fits first.
         min_gain: Log score that a linear fit must gain over no change for it [-].
         hopeless_deficit: Nor is one that is this far behind the best linear fit [-].
-        simulations: Simulations of all runs with each, at most.
+        simulations: Simulations of all runs with each, at most; and in each further round.
+        floor_shares: In the first fits every model error is raised to this share of the worst
+            block's RMS in model errors [-], so that the blocks that are missed by most lead.
+        max_continued: Effects that go on, the best first, with derivatives computed at their
+            numbers: those from the null, corrected along the way, stop short of a large strength.
+        max_rounds: Rounds of these at most.
+        min_round_gain: A further round is made while the last one gained this much [-].
         min_step_share: A step that gains nothing is halved down to this share [-].
         min_score_gain: Refinement ends where a simulation gains less [-]: a bin counts for a tenth
             of a statement, so that little of the score is much of an error.
@@ -41,6 +47,10 @@ class ChangeScreeningSettings:
     min_gain: float = 0.5
     hopeless_deficit: float = 40.0
     simulations: int = 7
+    floor_shares: tuple[float, ...] = (0.3, 0.1, 0.03)
+    max_continued: int = 3
+    max_rounds: int = 3
+    min_round_gain: float = 0.5
     min_step_share: float = 0.1
     min_score_gain: float = 0.02
     zeta_unit: float = 0.02
@@ -98,8 +108,13 @@ def screen_change(
     none, zeta, *refined = pool.map_outer(
         lambda each: refine_change(problem, each, pool, settings), (none, zeta, *leading)
     )
-    others = effects[len(leading) :]
-    ranked = sorted((*refined, *others), key=lambda each: -_ranking(each, settings))
+    refined.sort(key=lambda each: -_ranking(each, settings))
+    going_on = refined[: settings.max_continued]
+    zeta, *going_on = pool.map_outer(
+        lambda each: finish_change(problem, each, pool, settings), (zeta, *going_on)
+    )
+    others = *refined[settings.max_continued :], *effects[len(leading) :]
+    ranked = sorted((*going_on, *others), key=lambda each: -_ranking(each, settings))
     worth = matrices.worth(problem.settings)
     return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, worth)
 
@@ -116,37 +131,88 @@ def refine_change(
 
     Args:
         problem: The runs.
-        start: With a proposed step.
+        start: Simulated already, or with a proposed step.
         pool: Threads.
         settings: Numbers of the refinement.
     """
-    assert start.proposed is not None
     problem.regressors.dataset.compile(pool, predict, start.model)
-    here, (coordinates, log_zeta) = start, start.proposed
-    best: ChangeHypothesis | None = None
+    here, best = start, start if start.is_simulated else None
     share = 1.0
-    for _ in range(settings.simulations):
+    coordinates, log_zeta = start.proposed or _proposal(problem, start, share, 0.0, pool)
+    for turn in range(settings.simulations):
         moved = _simulate(problem, here, coordinates, log_zeta, pool, settings)
+        is_better = moved is not None and (best is None or moved.score > best.score)
+        leading = not start.is_simulated and turn < len(settings.floor_shares)
         if moved is None:
             share /= 4
-        elif best is None or moved.score > best.score:
+        elif is_better or leading:
             gain = np.inf if best is None else moved.score - best.score
-            here = best = moved
-            share = 1.0
-            if gain < settings.min_score_gain:
+            here, share = moved, 1.0
+            best = moved if is_better else best
+            if not leading and gain < settings.min_score_gain:
                 break
         else:
             # Not so far; but the simulation there has corrected the derivatives.
-            here = replace(best, columns=moved.columns, by_zeta=moved.by_zeta)
+            here = replace(best or here, columns=moved.columns, by_zeta=moved.by_zeta)
             share /= 2
         if share < settings.min_step_share:
             break
-        fit = problem.fit_about(here, pool)
-        step = fit.coefficients
-        common = step[-1] * problem.differences.is_now if here.zeta_changes else 0.0
-        coordinates = here.coordinates + share * step
-        log_zeta = here.log_zeta + share * (fit.zeta_change + common)
+        floor_share = settings.floor_shares[turn] if leading else 0.0
+        coordinates, log_zeta = _proposal(problem, here, share, floor_share, pool)
     return start if best is None else best
+
+
+def finish_change(
+    problem: ChangeProblem,
+    here: ChangeHypothesis,
+    pool: RunPool,
+    settings: ChangeScreeningSettings = DEFAULT_CHANGE_SCREENING,
+) -> ChangeHypothesis:
+    """Refine a hypothesis with fresh derivatives, round by round, while that gains.
+
+    Args:
+        problem: The runs.
+        here: The hypothesis; one that was not simulated stays as it is.
+        pool: Threads.
+        settings: Numbers of the refinement.
+    """
+    for _ in range(settings.max_rounds if here.is_simulated else 0):
+        before = here.score
+        here = refine_change(problem, _relinearize(problem, here, pool), pool, settings)
+        if here.score < before + settings.min_round_gain:
+            break
+    return here
+
+
+def _relinearize(problem: ChangeProblem, here: ChangeHypothesis, pool: RunPool) -> ChangeHypothesis:
+    """The hypothesis with derivatives by the simulator itself, in forward mode, at its numbers."""
+    regressors, acts = problem.regressors, here.acts(problem.differences.is_now)
+    directions = directions_within(
+        here.model, regressors.model_to_differentiate(here.model.effects)
+    )
+    there = here.coordinates if here.model.effects else np.zeros(0)
+    null = here.start if here.model.effects else np.zeros(0)
+    at = np.where(acts[:, None], there, null)
+    found = regressors.dataset.derivatives(pool, directions, here.log_zeta, at)
+    by_zeta = [each[:, :, 0] for each in found]
+    columns = [each[:, :, :1] if here.zeta_changes else each[:, :, 1:] for each in found]
+    acting = [each * float(on) for each, on in zip(columns, acts, strict=True)]
+    return replace(here, by_zeta=by_zeta, columns=acting)
+
+
+def _proposal(
+    problem: ChangeProblem,
+    here: ChangeHypothesis,
+    share: float,
+    floor_share: float,
+    pool: RunPool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and log zetas so much of the way to where a linear fit leads."""
+    fit = problem.fit_about(here, pool, floor_share)
+    step = fit.coefficients
+    common = step[-1] * problem.differences.is_now if here.zeta_changes else 0.0
+    coordinates = here.coordinates + share * step
+    return coordinates, here.log_zeta + share * (fit.zeta_change + common)
 
 
 def _linear_responses(problem: ChangeProblem, pool: RunPool) -> DifferenceGram:
@@ -164,19 +230,21 @@ def _linear_fits(
 ) -> tuple[ChangeHypothesis, ChangeHypothesis, list[ChangeHypothesis]]:
     """No change, a change of zeta, and every effect's best form, best effect first."""
     reference = problem.regressors
-    deviation = reference.log_zeta - problem.common
     share = problem.settings.linear_error
 
-    def fit(numbers: tuple[int, ...], prior: CoefficientPrior) -> DifferenceFit:
+    def fit(
+        numbers: tuple[int, ...], prior: CoefficientPrior, side: Side | None = "now"
+    ) -> DifferenceFit:
+        deviation = problem.deviation_from(side, reference.log_zeta)
         return problem.fit(matrices, numbers, deviation, prior, share)
 
-    nothing = fit((), CoefficientPrior.free(np.zeros(0)))
+    nothing = fit((), CoefficientPrior.free(np.zeros(0)), None)
     width = np.array([problem.settings.zeta_prior])
     sand = fit((reference.columns[0].shape[-1] - 1,), CoefficientPrior.free(width))
     best: dict[str, tuple[float, ShapeVariant, Side, DifferenceFit]] = {}
     for variant in reference.variants:
         for side, bounded in _priors(variant, problem.settings.strength_prior):
-            found = fit(variant.columns, bounded)
+            found = fit(variant.columns, bounded, side)
             cost = settings.parameter_cost * (len(variant.columns) + len(variant.shapes))
             name = variant.effect.about.name
             if name not in best or found.score - cost > best[name][0]:
@@ -264,5 +332,5 @@ def _score(problem: ChangeProblem, here: ChangeHypothesis, pool: RunPool) -> Dif
     """Score of simulated residuals as they are: a fit that moves nothing."""
     no_columns = [each[:, :, :0] for each in here.columns]
     gram = problem.differences.gram(no_columns, here.by_zeta, here.residual, pool)
-    free, common = problem.differences.degrees_of_freedom, problem.common_change(here)
-    return score_differences(gram, problem.deviation(here), free, problem.settings, common)
+    at, common = problem.deviation(here), problem.common_change(here)
+    return score_differences(gram, at, problem.differences.centring, problem.settings, common)

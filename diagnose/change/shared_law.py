@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
+from diagnose.hypotheses.hypothesis import lower_bounds
 from diagnose.linear.linear_fit import fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
@@ -19,12 +20,12 @@ from diagnose.model.augmented_model import AugmentedModel, with_effects
 from diagnose.run_pool import RunPool
 from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.rig import Drawbar, VerticalLoad
 from drftjax.effects.stress import DepthPower
+from drftjax.effects.terrain import Heap
 from drftjax.recorded.prepared_run import PreparedRun
 
-LAW: tuple[type[AbstractEffect], ...] = (DepthPower, Drawbar, VerticalLoad)
-"""Effects of the base: the exponent of depth, and the pull and the lift that a heap has too."""
+LAW: tuple[type[AbstractEffect], ...] = (DepthPower, Heap)
+"""Effects of the base: the exponent of depth, and a heap ahead, which grows as the wheel sinks."""
 
 
 @dataclass(frozen=True)
@@ -68,23 +69,55 @@ def follow_shared_law(
         RunError: where a run cannot be simulated.
     """
     model = AugmentedModel(tuple(each for each in LAW if _is_possible(dataset.runs, each)))
-    at = np.zeros(len(model.free))
+    at = _at_null(model)
+    strengths = np.array([free.scale is not None for free in model.free])
     with_null = RigDataset.of(_with_law(dataset.runs, model, at), dataset.settings)
     runs = without_step_errors(with_null, pool).runs
     for _ in range(settings.rounds):
         base = RigDataset.of([runs[run] for run in before], dataset.settings)
         linearized = linearize_runs(base, match_initial_zeta(base, pool), pool)
         responses = Regressors.of(base, linearized, model.effects, pool)
+        least = [bound for each in model.effects for bound in lower_bounds(each)]
         fit = fit_linear(
             responses.gram_matrices,
-            range(len(at)),
-            prior=np.full(len(at), settings.width),
-            offset=at,
+            _columns_with_shapes(responses, model, at),
+            prior=np.full(strengths.sum(), settings.width),
+            offset=at[strengths],
+            lower=np.array(least) - at[strengths],
             linear_error=0.0,
         )
-        at = at + np.clip(fit.coefficients, -settings.max_step, settings.max_step)
+        at[strengths] += np.clip(fit.coefficients, -settings.max_step, settings.max_step)
         runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
     return RigDataset.of(runs, dataset.settings), model.build(at)
+
+
+def _at_null(model: AugmentedModel) -> np.ndarray:
+    """Coordinates of no effect: strengths of zero, shapes as they are by default."""
+    null = [each() for each in model.effects]
+    return np.array(
+        [
+            0.0 if free.scale is not None else float(np.log(getattr(null[free.index], free.field)))
+            for free in model.free
+        ]
+    )
+
+
+def _columns_with_shapes(responses: Regressors, model: AugmentedModel, at: np.ndarray) -> list[int]:
+    """Columns of the effects' strengths, of the variants with these shapes."""
+    found: list[int] = []
+    for index, effect in enumerate(model.effects):
+        shapes = [
+            at[place]
+            for place, free in enumerate(model.free)
+            if free.index == index and free.scale is None
+        ]
+        same = (
+            each
+            for each in responses.variants
+            if each.effect is effect and np.allclose(np.log(each.shapes), shapes)
+        )
+        found += next(same).columns
+    return found
 
 
 def _with_law(

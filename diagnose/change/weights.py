@@ -8,7 +8,8 @@ with the mean square $s_{hb}$ that it leaves of the differences (with what its r
 by), the score $Z_h$ of its log zetas (`diagnose.change.differences.fit`), and $a_b$ that is not
 held against it: a model's own error, what repeats on one side differ by, and a share $\epsilon^2$
 of what no change leaves beyond noise, as no sand follows the law that the responses are simulated
-with. `unknown` is taken to leave a share $\rho$ (in amplitude) of that.
+with; and the same share of what the runs' zetas do where nothing changed, for the same reason.
+`unknown` is taken to leave a share $\rho$ (in amplitude) of what no change leaves beyond noise.
 """
 
 import math
@@ -111,7 +112,7 @@ def _log_weights(
     floor = fits.model_errors(found.blocks) ** 2 + problem.differences.chance
     none = found.none.fit
     beyond = np.maximum(none.mean_square - problem.regressors.noise_power - floor, 0)
-    allowed = floor + settings.law_error_share**2 * beyond
+    allowed = floor + settings.law_error_share**2 * (beyond + none.zeta_power)
 
     def evidence(power: np.ndarray) -> float:
         return -0.5 * float((found.worth * np.log(power + allowed)).sum())

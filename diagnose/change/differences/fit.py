@@ -9,8 +9,10 @@ $$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2) + \ln p(V_\zeta),$$
 with $w_b$ the independent statements in a value, $e_b$ the part of the responses that may be wrong
 and $\sigma_b^2$ the mean square below which nothing is asked of a model. The last term is the
 evidence of the log zetas by the scatter of the bed (`diagnose.linear.bed`). $\zeta_i$ counts from a
-value that the condition's runs share, so the contrasts are the runs less the conditions. The fit
-maximises the score, with Gaussian priors on $\theta$, by iteratively reweighted least squares.
+value that the condition's runs share, so the contrasts are the runs less the conditions. That value
+has a Gaussian prior, about the zetas with which the runs were matched that have no effect: the
+differences say next to nothing of it. The fit maximises the score, with Gaussian priors on
+$\theta$, by iteratively reweighted least squares.
 
 How far another zeta moves x for a millimetre of z is a matter of the sand's law, which is not the
 model's. So the response of each channel c but z to zeta has a factor $1 + \phi_c$, the same in all
@@ -60,6 +62,7 @@ class DifferenceFit:
         zeta_score: The part of the score that zeta's scatter and the factors have.
         scatter: Scatter of log zeta between runs, as the fit finds it [-].
         zeta_factors: $\phi_c$ in each block [-], shape (blocks,).
+        zeta_power: Mean square of the model's response to the log zetas, shape (blocks,).
     """
 
     score: float
@@ -70,59 +73,63 @@ class DifferenceFit:
     zeta_score: float
     scatter: float
     zeta_factors: np.ndarray
+    zeta_power: np.ndarray
 
 
 def fit_differences(
     matrices: DifferenceGram,
     columns: Sequence[int],
     deviation: np.ndarray,
-    degrees_of_freedom: int,
+    centring: np.ndarray,
     prior: CoefficientPrior,
     error_share: float,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
     common: np.ndarray | float = 0.0,
+    inflation: float = 1.0,
 ) -> DifferenceFit:
     """Maximise the log score over some columns' coefficients and each run's log zeta.
 
     Args:
         matrices: Gram matrices.
         columns: Numbers of the columns that act.
-        deviation: Log zeta of each run over its condition's, before the fit [-], shape (runs,).
-        degrees_of_freedom: Runs less conditions.
+        deviation: Log zeta of each run over what is known of its condition's, before the fit [-],
+            shape (runs,).
+        centring: Takes the mean over each run's condition off, shape (runs, runs).
         prior: Of the coefficients.
         error_share: Share of the columns' response that may be wrong [-].
         settings: Numbers of the fit.
         common: Log zeta of each run beyond `deviation` that is no scatter [-], shape (runs,).
+        inflation: Factor on every block's model error [-].
     """
     runs, width = len(deviation), len(columns)
     response = _ZetaResponse(matrices, matrices.of_columns(columns, runs), settings)
     worth = matrices.worth(settings)
-    floor = matrices.floor(settings)
+    floor = inflation**2 * matrices.floor(settings)
     mean_square = matrices.mean_square(response.gram, np.r_[np.zeros(width + runs), 1.0])
     response_error = np.zeros(len(mean_square))
     own, gram, factors = deviation, response.gram, np.zeros(len(mean_square))
     change = np.zeros(width + runs)
     for _ in range(settings.iterations):
         weight = worth / np.maximum(matrices.count, 1) / (mean_square + response_error + floor)
-        variance = 1 / settings.bed.hold(_mean_square(own, degrees_of_freedom), degrees_of_freedom)
-        change = _solve(np.einsum("b,bij->ij", weight, gram), variance, deviation, prior)
+        normal = np.einsum("b,bij->ij", weight, gram)
+        change = _solve(normal, _hold(own, centring, settings), deviation, prior)
         own = deviation + change[width:]
-        factors = response.factors(weight, change, own + common)
-        gram = response.with_factors(factors, deviation + common)
+        factors = response.factors(weight, change, centring @ (own + common))
+        gram = response.with_factors(factors, centring @ (deviation + common))
         mean_square = matrices.mean_square(gram, np.r_[change, 1.0])
         alone = np.r_[change[:width], np.zeros(runs + 1)]
         response_error = error_share**2 * matrices.mean_square(gram, alone)
-        response_error += response.error(own + common)
+    by_zeta = response.power(centring @ (own + common))
     return _scored(
-        matrices, change[:width], change[width:], own, degrees_of_freedom, mean_square,
-        response_error, factors, settings,
+        matrices, change[:width], change[width:], own, centring, mean_square,
+        response_error, factors, by_zeta, settings,
     )  # fmt: skip
 
 
 def score_differences(
     matrices: DifferenceGram,
     deviation: np.ndarray,
-    degrees_of_freedom: int,
+    centring: np.ndarray,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
     common: np.ndarray | float = 0.0,
 ) -> DifferenceFit:
@@ -130,25 +137,21 @@ def score_differences(
 
     Args:
         matrices: Gram matrices, of no columns.
-        deviation: Log zeta of each run over its condition's [-], shape (runs,).
-        degrees_of_freedom: Runs less conditions.
+        deviation, centring, common: As for `fit_differences`.
         settings: Numbers of the score.
-        common: As for `fit_differences`.
     """
-    still = np.zeros(len(deviation))
+    still, nothing = np.zeros(len(deviation)), np.zeros(len(matrices.blocks))
     response = _ZetaResponse(matrices, matrices.of_columns((), len(deviation)), settings)
-    gram, factors = response.gram, np.zeros(len(matrices.blocks))
-    mean_square = matrices.mean_square(gram, np.r_[still, 1.0])
-    response_error = response.error(deviation + common)
-    floor = matrices.floor(settings) + response_error
+    gram, factors, whole = response.gram, nothing, centring @ (deviation + common)
+    worth = matrices.worth(settings) / np.maximum(matrices.count, 1)
     for _ in range(settings.iterations):
-        weight = matrices.worth(settings) / np.maximum(matrices.count, 1) / (mean_square + floor)
-        factors = response.factors(weight, still, deviation + common)
-        gram = response.with_factors(factors, deviation + common)
-        mean_square = matrices.mean_square(gram, np.r_[still, 1.0])
+        left = matrices.mean_square(gram, np.r_[still, 1.0])
+        factors = response.factors(worth / (left + matrices.floor(settings)), still, whole)
+        gram = response.with_factors(factors, whole)
+    mean_square = matrices.mean_square(gram, np.r_[still, 1.0])
     return _scored(
-        matrices, np.zeros(0), still, deviation, degrees_of_freedom, mean_square,
-        response_error, factors, settings,
+        matrices, np.zeros(0), still, deviation, centring, mean_square, nothing, factors,
+        response.power(whole), settings,
     )  # fmt: skip
 
 
@@ -184,15 +187,10 @@ class _ZetaResponse:
             found[at] = -(weight[at] @ product[at]) / held
         return found
 
-    def error(self, log_zeta: np.ndarray) -> np.ndarray:
-        """Mean square by which the responses may be wrong as the law is another, shape (blocks,).
-
-        Args:
-            log_zeta: Log zeta of each run over its condition's [-], shape (runs,).
-        """
+    def power(self, log_zeta: np.ndarray) -> np.ndarray:
+        """Mean square of the model's response to these log zetas, shape (blocks,)."""
         before = self.gram.shape[-1] - 1 - len(log_zeta)
-        whole = self.matrices.mean_square(self.gram, np.r_[np.zeros(before), log_zeta, 0.0])
-        return self.settings.simulated_error**2 * whole
+        return self.matrices.mean_square(self.gram, np.r_[np.zeros(before), log_zeta, 0.0])
 
     def with_factors(self, factors: np.ndarray, log_zeta: np.ndarray) -> np.ndarray:
         """Gram matrices with these factors; the residual has them for the zeta that it is at.
@@ -213,20 +211,23 @@ def _scored(
     matrices: DifferenceGram,
     coefficients: np.ndarray,
     zeta_change: np.ndarray,
-    deviation: np.ndarray,
-    degrees_of_freedom: int,
+    own: np.ndarray,
+    centring: np.ndarray,
     mean_square: np.ndarray,
     response_error: np.ndarray,
     factors: np.ndarray,
+    by_zeta: np.ndarray,
     settings: DifferenceFitSettings,
 ) -> DifferenceFit:
     """A fit with its score."""
     worth = matrices.worth(settings)
     floor = matrices.floor(settings)
-    scatter = _mean_square(deviation, degrees_of_freedom)
+    contrasts = _contrasts(centring)
+    scatter = float(own @ centring @ own) / max(contrasts, 1)
+    level = float(own @ (own - centring @ own)) / settings.level_width**2
     by_channel = dict(zip((channel for channel, _ in matrices.blocks), factors, strict=True))
     of_factors = sum((each / settings.zeta_factor_prior) ** 2 for each in by_channel.values())
-    zeta_score = settings.bed.evidence(scatter, degrees_of_freedom) - 0.5 * float(of_factors)
+    zeta_score = settings.bed.evidence(scatter, contrasts) - 0.5 * (float(of_factors) + level)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
     return DifferenceFit(
         evidence + zeta_score,
@@ -235,19 +236,32 @@ def _scored(
         mean_square,
         response_error,
         zeta_score,
-        float(settings.bed.hold(scatter, degrees_of_freedom) ** -0.5),
+        float(settings.bed.hold(scatter, contrasts) ** -0.5),
         factors,
+        by_zeta,
     )
 
 
-def _mean_square(deviation: np.ndarray, degrees_of_freedom: int) -> float:
-    """Mean square of the independent differences of log zeta [-]."""
-    return float(deviation @ deviation) / max(degrees_of_freedom, 1)
+def _contrasts(centring: np.ndarray) -> int:
+    """Independent differences of log zeta: runs less conditions."""
+    return round(float(np.trace(centring)))
+
+
+def _hold(own: np.ndarray, centring: np.ndarray, settings: DifferenceFitSettings) -> np.ndarray:
+    """Precision of log zetas: about their condition's, and of that about what is known."""
+    contrasts = _contrasts(centring)
+    hold = settings.bed.hold(float(own @ centring @ own) / max(contrasts, 1), contrasts)
+    return hold * centring + _level_hold(centring, settings)
+
+
+def _level_hold(centring: np.ndarray, settings: DifferenceFitSettings) -> np.ndarray:
+    return (np.eye(len(centring)) - centring) / settings.level_width**2
 
 
 def information(
     matrices: DifferenceGram,
     fit: DifferenceFit,
+    centring: np.ndarray,
     prior: CoefficientPrior,
     worth: np.ndarray,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
@@ -257,6 +271,7 @@ def information(
     Args:
         matrices: Gram matrices about the fit.
         fit: What is left there.
+        centring: As for `fit_differences`.
         prior: Of the coefficients.
         worth: Independent statements in one value of each block [-], shape (blocks,).
         settings: For the model errors.
@@ -264,19 +279,27 @@ def information(
     weight = worth / (fit.mean_square + matrices.floor(settings))
     found = np.einsum("b,bij->ij", weight, matrices.gram[:, :-1, :-1])
     width = len(prior.width)
-    runs = len(found) - width
-    return found + np.diag(np.r_[1 / prior.width**2, np.full(runs, 1 / fit.scatter**2)])
+    found[np.arange(width), np.arange(width)] += 1 / prior.width**2
+    found[width:, width:] += centring / fit.scatter**2 + _level_hold(centring, settings)
+    return found
 
 
 def _solve(
-    normal: np.ndarray, variance: float, deviation: np.ndarray, prior: CoefficientPrior
+    normal: np.ndarray, hold: np.ndarray, deviation: np.ndarray, prior: CoefficientPrior
 ) -> np.ndarray:
-    """Changes of coefficients and log zetas for these weights, within bounds."""
+    """Changes of coefficients and log zetas for these weights, within bounds.
+
+    Args:
+        normal: Weighted Gram matrix.
+        hold: Precision of the log zetas.
+        deviation: As for `fit_differences`.
+        prior: Of the coefficients.
+    """
     width = len(prior.width)
     matrix, right = normal[:-1, :-1].copy(), -normal[:-1, -1].copy()
-    precision = np.r_[1 / prior.width**2, np.full(len(deviation), 1 / variance)]
-    matrix[np.diag_indices_from(matrix)] += precision
-    right -= precision * np.r_[prior.offset, deviation]
+    matrix[np.arange(width), np.arange(width)] += 1 / prior.width**2
+    matrix[width:, width:] += hold
+    right -= np.r_[prior.offset / prior.width**2, hold @ deviation]
     size = np.sqrt(np.diag(matrix))
     # A slight ridge keeps columns apart that all but coincide.
     scaled = matrix / np.outer(size, size) + 1e-10 * np.eye(len(right))

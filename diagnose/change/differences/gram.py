@@ -134,12 +134,19 @@ class Differences:
         return Differences(self.dataset, clocks, self.is_now)
 
     @property
-    def degrees_of_freedom(self) -> int:
-        """Runs less groups of them: differences that are independent."""
-        return sum(len(clock.condition.runs) - 1 for clock in self.clocks)
+    def centring(self) -> np.ndarray:
+        """Matrix that takes the mean over each run's condition off, shape (runs, runs).
+
+        Runs of no condition become zero.
+        """
+        found = np.zeros((len(self.is_now), len(self.is_now)))
+        for clock in self.clocks:
+            members = np.array(clock.condition.runs)
+            found[np.ix_(members, members)] = np.eye(len(members)) - 1 / len(members)
+        return found
 
     def mean_by_condition(self, values: np.ndarray) -> np.ndarray:
-        """Mean over each run's condition, shape (runs,)."""
+        """Mean over each run's condition, shape (runs,); a run of none has its own value."""
         found = np.array(values, float)
         for clock in self.clocks:
             found[list(clock.condition.runs)] = values[list(clock.condition.runs)].mean()

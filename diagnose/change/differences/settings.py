@@ -25,6 +25,8 @@ class DifferenceFitSettings:
         zeta_factor_prior: Width of the prior on the factor by which a channel's response to zeta
             may be off [-]: laws whose coefficients and exponents differ as those of common sands
             do move x by half or by twice as much.
+        level_width: Width of the prior on a condition's log zeta, about that with which its runs
+            without an effect were matched [-], over the root of its number of runs.
         linear_error: Share of a response that may be wrong for being linear, and for the sand's
             law being another [-].
         simulated_error: Share that may be wrong for the law alone, where a simulation gives the
@@ -39,6 +41,7 @@ class DifferenceFitSettings:
     shape_prior: float = 0.7
     zeta_prior: float = 0.5
     zeta_factor_prior: float = 0.3
+    level_width: float = 0.05
     linear_error: float = 0.15
     simulated_error: float = 0.05
     iterations: int = 10

@@ -17,7 +17,7 @@ from diagnose.linear.bed import PreparedBed
 ROUNDING = 1e-10
 # A reweighted fit ends where another step gains nothing; a general optimiser where it believes so.
 OPTIMUM = 1e-4
-SETTINGS = DifferenceFitSettings(iterations=200, linear_error=0.0, simulated_error=0.0)
+SETTINGS = DifferenceFitSettings(iterations=200, linear_error=0.0)
 
 
 def differences_of(
@@ -94,7 +94,13 @@ def test_a_fit_is_where_a_general_optimiser_of_its_score_ends():
     deviation = np.array([0.01, -0.01, 0.02, 0.0, -0.02])
     width = np.array([0.7, 1.3])
     fit = fit_differences(
-        matrices, (0, 1), deviation, 3, CoefficientPrior.free(width), 0.0, SETTINGS
+        matrices,
+        (0, 1),
+        deviation,
+        differences.centring,
+        CoefficientPrior.free(width),
+        0.0,
+        SETTINGS,
     )
 
     def loss(changes: np.ndarray) -> float:
@@ -115,10 +121,12 @@ def test_a_fit_is_where_a_general_optimiser_of_its_score_ends():
             error = SETTINGS.model_errors(matrices.blocks)[block]
             worth = SETTINGS.worth(matrices.blocks)[block]
             total += 0.5 * worth * count * np.log(square / count + error**2)
-        own = deviation + changes[2:]
+        own = differences.centring @ (deviation + changes[2:])
         bed = PreparedBed()
         scatter = (own @ own) / (bed.statements * bed.scatter**2)
         prior = 0.5 * ((changes[:2] / width) ** 2).sum()
+        level = deviation + changes[2:] - own
+        prior += 0.5 * (level @ level) / SETTINGS.level_width**2
         return total + 0.5 * (bed.statements + 3) * np.log1p(scatter) + prior
 
     best = minimize(loss, np.r_[fit.coefficients, fit.zeta_change] + 0.01, method="BFGS")
@@ -132,11 +140,15 @@ def test_bounds_hold_and_the_others_fit_around_them():
     columns[0] *= 0
     matrices = gram_of(differences, columns, by_zeta, residual)
     free = CoefficientPrior.free(np.array([5.0, 5.0]))
-    loose = fit_differences(matrices, (0, 1), np.zeros(2), 1, free, 0.0, SETTINGS)
+    loose = fit_differences(
+        matrices, (0, 1), np.zeros(2), differences.centring, free, 0.0, SETTINGS
+    )
     bound = CoefficientPrior(
         free.width, free.offset, np.array([loose.coefficients[0] + 0.1, -np.inf]), free.most
     )
-    held = fit_differences(matrices, (0, 1), np.zeros(2), 1, bound, 0.0, SETTINGS)
+    held = fit_differences(
+        matrices, (0, 1), np.zeros(2), differences.centring, bound, 0.0, SETTINGS
+    )
     assert held.coefficients[0] == pytest.approx(bound.least[0])
     assert held.coefficients[1] != pytest.approx(loose.coefficients[1])
     assert held.score < loose.score
@@ -147,29 +159,32 @@ def test_another_law_moves_x_further_for_the_same_sinkage():
     conditions = [MatchedCondition((run,), (run + 1,)) for run in (0, 2, 4)]
     differences = differences_of([time] * 6, conditions, ("z", "x"))
     random = np.random.default_rng(5)
-    by_zeta = [1e-2 * (1 + random.random((2, 1))) * np.stack([time, time**2]) for _ in range(6)]
-    scatter = 0.01 * np.array([-1, 1, 0.5, -0.5, 0.3, -0.3])
+    of_each = [1e-2 * (1 + random.random((2, 1))) * np.stack([time, time**2]) for _ in range(3)]
+    by_zeta = [each for each in of_each for _ in range(2)]
+    scatter = 0.02 * np.array([-1, 1, 0.5, -0.5, 0.3, -0.3])
     # The sand moves x by 1.4 times what the model does.
     of_sand = [z * np.array([[1.0], [1.4]]) for z in by_zeta]
     residual = [-z * own for z, own in zip(of_sand, scatter, strict=True)]
     nothing = [np.zeros((2, len(time), 0)) for _ in range(6)]
     matrices = gram_of(differences, nothing, by_zeta, residual)
 
+    centring = differences.centring
+
     def fit(prior: float, at: np.ndarray | None = None):
         settings = replace(SETTINGS, zeta_factor_prior=prior)
         free = CoefficientPrior.free(np.zeros(0))
         if at is None:
-            return fit_differences(matrices, (), np.zeros(6), 3, free, 0.0, settings)
+            return fit_differences(matrices, (), np.zeros(6), centring, free, 0.0, settings)
         moved = [r + z * own for r, z, own in zip(residual, by_zeta, at, strict=True)]
         there = gram_of(differences, nothing, by_zeta, moved)
-        return score_differences(there, at, 3, settings)
+        return score_differences(there, at, centring, settings)
 
     wide, held = fit(100.0), fit(1e-6)
     of_x = [channel == "x" for channel, _ in matrices.blocks]
     # The bed's scatter holds zeta back a little, and the factor makes up for it.
     np.testing.assert_allclose(wide.zeta_factors[of_x], 0.4, atol=0.02)
     assert not wide.zeta_factors[np.logical_not(of_x)].any()
-    assert wide.mean_square[of_x].sum() < 1e-4 * held.mean_square[of_x].sum()
+    assert wide.mean_square[of_x].sum() < 1e-3 * held.mean_square[of_x].sum()
     # A score of residuals that are there finds the same factors as the fit that leads there.
     there = fit(100.0, wide.zeta_change)
     np.testing.assert_allclose(there.zeta_factors, wide.zeta_factors, rtol=1e-6)
