@@ -51,10 +51,9 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
     differences = problem.differences
     deviation = differences.centring @ problem.deviation(chosen)
     without = problem.residual_at_common_zeta()
-    factors = _zeta_factors(problem, chosen)
-    whole = deviation + differences.centring @ problem.common_change(chosen)
-    of_each = zip(chosen.residual, chosen.by_zeta, whole, strict=True)
-    left = [r + factors * z * d for r, z, d in of_each]
+    factors = _law_factors(problem, chosen)
+    changed = problem.change_so_far(chosen)
+    left = [r + factors * change for r, change in zip(chosen.residual, changed, strict=True)]
     response = [(1 + factors) * z for z in chosen.by_zeta]
     steady = [r - z * d for r, z, d in zip(left, response, deviation, strict=True)]
     response = [(1 + factors) * z for z in problem.by_zeta]
@@ -82,10 +81,10 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
     return found
 
 
-def _zeta_factors(problem: ChangeProblem, chosen: ChangeHypothesis) -> np.ndarray:
-    """Factors on the channels' responses to zeta, less one [-], shape (channels, 1)."""
+def _law_factors(problem: ChangeProblem, chosen: ChangeHypothesis) -> np.ndarray:
+    """Factors on what changes in each channel, less one [-], shape (channels, 1)."""
     blocks = block_names(problem.differences.dataset.channels)
-    factors = chosen.fit.zeta_factors
+    factors = chosen.fit.law_factors
     found = {channel: each for (channel, _), each in zip(blocks, factors, strict=True)}
     return np.array([[found[channel]] for channel in problem.differences.dataset.channels])
 

@@ -145,8 +145,12 @@ class ChangeProblem:
 
     def deviation(self, here: ChangeHypothesis) -> np.ndarray:
         """Log zeta of each run beyond its condition's and beyond a common change [-]."""
-        side = here.side if here.model.effects or here.zeta_changes else None
-        return self.deviation_from(side, here.log_zeta) - self.common_change(here)
+        away = self.deviation_from(self.changed_side(here), here.log_zeta)
+        return away - here.common_zeta * self.differences.is_now
+
+    def changed_side(self, here: ChangeHypothesis) -> Side | None:
+        """The side that a hypothesis changes; none where nothing changed."""
+        return here.side if here.model.effects or here.zeta_changes else None
 
     def deviation_from(self, side: Side | None, log_zeta: np.ndarray) -> np.ndarray:
         """Log zeta of each run beyond that of its condition's runs which a change left alone [-].
@@ -166,10 +170,6 @@ class ChangeProblem:
             found[list(clock.condition.runs)] -= matched[list(runs)].mean()
         return found
 
-    def common_change(self, here: ChangeHypothesis) -> np.ndarray:
-        """Change of log zeta that the runs of now share, in each run [-], shape (runs,)."""
-        return here.common_zeta * self.differences.is_now
-
     def fit(
         self,
         matrices: DifferenceGram,
@@ -177,16 +177,31 @@ class ChangeProblem:
         deviation: np.ndarray,
         prior: CoefficientPrior,
         error_share: float,
-        common: np.ndarray | float = 0.0,
+        changed: int | None = None,
         inflation: float = 1.0,
     ) -> DifferenceFit:
         """Fit of some columns of Gram matrices; see `fit_differences`."""
         at = deviation, self.differences.centring, prior, error_share
-        return fit_differences(matrices, columns, *at, self.settings, common, inflation)
+        return fit_differences(matrices, columns, *at, self.settings, changed, inflation)
 
     def gram(self, here: ChangeHypothesis, pool: RunPool) -> DifferenceGram:
         """Gram matrices about a hypothesis."""
         return self.differences.gram(here.columns, here.by_zeta, here.residual, pool)
+
+    def gram_with_change(self, here: ChangeHypothesis, pool: RunPool) -> DifferenceGram:
+        """The same with one column more: all that the hypothesis changes."""
+        both = zip(here.columns, self.change_so_far(here), strict=True)
+        columns = [np.concatenate([each, more[:, :, None]], axis=2) for each, more in both]
+        return self.differences.gram(columns, here.by_zeta, here.residual, pool)
+
+    def change_so_far(self, here: ChangeHypothesis) -> list[np.ndarray]:
+        """By run, all that a hypothesis changes, by zeta's scatter too, shape (channels, samples).
+
+        That is beyond the reference model at the zeta of the condition's runs without an effect.
+        """
+        away = self.deviation_from(self.changed_side(here), self.regressors.log_zeta)
+        parts = zip(here.residual, self.regressors.residual, self.by_zeta, away, strict=True)
+        return [now - (residual - slope * change) for now, residual, slope, change in parts]
 
     def fit_about(
         self, here: ChangeHypothesis, pool: RunPool, floor_share: float = 0.0
@@ -199,12 +214,12 @@ class ChangeProblem:
             floor_share: Every model error is raised to this share of the worst block's RMS in model
                 errors [-].
         """
-        settings, matrices = self.settings, self.gram(here, pool)
+        settings, matrices = self.settings, self.gram_with_change(here, pool)
         share = settings.simulated_error if here.is_simulated else settings.linear_error
         free = range(len(here.coordinates))
         prior = here.coordinate_prior(settings)
         inflation = floor_inflation(matrices.blocks, here.fit.mean_square, floor_share)
-        at = self.deviation(here), prior, share, self.common_change(here), inflation
+        at = self.deviation(here), prior, share, len(free), inflation
         return self.fit(matrices, free, *at)
 
     # The explanations about the reference model ---------------------------------------------------

@@ -330,7 +330,6 @@ def _simulate(
 
 def _score(problem: ChangeProblem, here: ChangeHypothesis, pool: RunPool) -> DifferenceFit:
     """Score of simulated residuals as they are: a fit that moves nothing."""
-    no_columns = [each[:, :, :0] for each in here.columns]
-    gram = problem.differences.gram(no_columns, here.by_zeta, here.residual, pool)
-    at, common = problem.deviation(here), problem.common_change(here)
-    return score_differences(gram, at, problem.differences.centring, problem.settings, common)
+    bare = replace(here, columns=[each[:, :, :0] for each in here.columns])
+    matrices, centring = problem.gram_with_change(bare, pool), problem.differences.centring
+    return score_differences(matrices, problem.deviation(here), centring, problem.settings)

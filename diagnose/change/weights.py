@@ -112,7 +112,7 @@ def _log_weights(
     floor = fits.model_errors(found.blocks) ** 2 + problem.differences.chance
     none = found.none.fit
     beyond = np.maximum(none.mean_square - problem.regressors.noise_power - floor, 0)
-    allowed = floor + settings.law_error_share**2 * (beyond + none.zeta_power)
+    allowed = floor + settings.law_error_share**2 * (beyond + none.power)
 
     def evidence(power: np.ndarray) -> float:
         return -0.5 * float((found.worth * np.log(power + allowed)).sum())

@@ -14,9 +14,10 @@ has a Gaussian prior, about the zetas with which the runs were matched that have
 differences say next to nothing of it. The fit maximises the score, with Gaussian priors on
 $\theta$, by iteratively reweighted least squares.
 
-How far another zeta moves x for a millimetre of z is a matter of the sand's law, which is not the
-model's. So the response of each channel c but z to zeta has a factor $1 + \phi_c$, the same in all
-runs, with a Gaussian prior on $\phi_c$ that belongs to the score.
+How far a change moves x for a millimetre of z is a matter of the sand's law, which is not the
+model's. So all that a model changes, by $\theta$ or by zeta, is in each channel c but z times a
+factor $1 + \phi_c$, the same in all runs, with a Gaussian prior on $\phi_c$ that belongs to the
+score.
 """
 
 from collections.abc import Sequence
@@ -61,8 +62,8 @@ class DifferenceFit:
         response_error: $e_b$, likewise.
         zeta_score: The part of the score that zeta's scatter and the factors have.
         scatter: Scatter of log zeta between runs, as the fit finds it [-].
-        zeta_factors: $\phi_c$ in each block [-], shape (blocks,).
-        zeta_power: Mean square of the model's response to the log zetas, shape (blocks,).
+        law_factors: $\phi_c$ in each block [-], shape (blocks,).
+        power: Mean square of all that the model changes, without these, shape (blocks,).
     """
 
     score: float
@@ -72,8 +73,8 @@ class DifferenceFit:
     response_error: np.ndarray
     zeta_score: float
     scatter: float
-    zeta_factors: np.ndarray
-    zeta_power: np.ndarray
+    law_factors: np.ndarray
+    power: np.ndarray
 
 
 def fit_differences(
@@ -84,7 +85,7 @@ def fit_differences(
     prior: CoefficientPrior,
     error_share: float,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
-    common: np.ndarray | float = 0.0,
+    changed: int | None = None,
     inflation: float = 1.0,
 ) -> DifferenceFit:
     """Maximise the log score over some columns' coefficients and each run's log zeta.
@@ -98,31 +99,36 @@ def fit_differences(
         prior: Of the coefficients.
         error_share: Share of the columns' response that may be wrong [-].
         settings: Numbers of the fit.
-        common: Log zeta of each run beyond `deviation` that is no scatter [-], shape (runs,).
+        changed: Number of the column that holds what the model has changed so far; where there is
+            none, that is the response to `deviation`.
         inflation: Factor on every block's model error [-].
     """
     runs, width = len(deviation), len(columns)
-    response = _ZetaResponse(matrices, matrices.of_columns(columns, runs), settings)
+    known = () if changed is None else (changed,)
+    gram = matrices.of_columns([*columns, *known], runs)
+    held = np.r_[np.zeros(width), np.ones(len(known)), np.zeros(runs)]
+    if changed is None:
+        held[width:] = centring @ deviation
+    law = _Law(matrices, gram, held, settings)
+    solved = np.delete(np.arange(len(held) + 1), [*range(width, width + len(known))])
     worth = matrices.worth(settings)
     floor = inflation**2 * matrices.floor(settings)
-    mean_square = matrices.mean_square(response.gram, np.r_[np.zeros(width + runs), 1.0])
+    mean_square = matrices.mean_square(gram, np.r_[0 * held, 1.0])
     response_error = np.zeros(len(mean_square))
-    own, gram, factors = deviation, response.gram, np.zeros(len(mean_square))
-    change = np.zeros(width + runs)
+    own, factors, change = deviation, np.zeros(len(mean_square)), np.zeros(len(held))
     for _ in range(settings.iterations):
         weight = worth / np.maximum(matrices.count, 1) / (mean_square + response_error + floor)
-        normal = np.einsum("b,bij->ij", weight, gram)
-        change = _solve(normal, _hold(own, centring, settings), deviation, prior)
-        own = deviation + change[width:]
-        factors = response.factors(weight, change, centring @ (own + common))
-        gram = response.with_factors(factors, centring @ (deviation + common))
+        normal = np.einsum("b,bij->ij", weight, gram)[np.ix_(solved, solved)]
+        change[solved[:-1]] = _solve(normal, _hold(own, centring, settings), deviation, prior)
+        own = deviation + change[-runs:]
+        factors = law.factors(weight, change)
+        gram = law.with_factors(factors)
         mean_square = matrices.mean_square(gram, np.r_[change, 1.0])
-        alone = np.r_[change[:width], np.zeros(runs + 1)]
+        alone = np.r_[change[:width], np.zeros(len(held) + 1 - width)]
         response_error = error_share**2 * matrices.mean_square(gram, alone)
-    by_zeta = response.power(centring @ (own + common))
     return _scored(
-        matrices, change[:width], change[width:], own, centring, mean_square,
-        response_error, factors, by_zeta, settings,
+        matrices, change[:width], change[-runs:], own, centring, mean_square, response_error,
+        factors, law.power(change), settings,
     )  # fmt: skip
 
 
@@ -131,79 +137,73 @@ def score_differences(
     deviation: np.ndarray,
     centring: np.ndarray,
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT,
-    common: np.ndarray | float = 0.0,
 ) -> DifferenceFit:
-    """Score of residuals as they are: a fit that changes the factors on zeta's response alone.
+    """Score of residuals as they are: a fit that changes the factors of the law alone.
 
     Args:
-        matrices: Gram matrices, of no columns.
-        deviation, centring, common: As for `fit_differences`.
+        matrices: Gram matrices, of one column: what the model has changed so far.
+        deviation, centring: As for `fit_differences`.
         settings: Numbers of the score.
     """
-    still, nothing = np.zeros(len(deviation)), np.zeros(len(matrices.blocks))
-    response = _ZetaResponse(matrices, matrices.of_columns((), len(deviation)), settings)
-    gram, factors, whole = response.gram, nothing, centring @ (deviation + common)
-    worth = matrices.worth(settings) / np.maximum(matrices.count, 1)
+    nothing, still = np.zeros(len(matrices.blocks)), np.zeros(1 + len(deviation))
+    gram = matrices.of_columns((0,), len(deviation))
+    law = _Law(matrices, gram, np.r_[1.0, np.zeros(len(deviation))], settings)
+    worth, factors = matrices.worth(settings) / np.maximum(matrices.count, 1), nothing
     for _ in range(settings.iterations):
         left = matrices.mean_square(gram, np.r_[still, 1.0])
-        factors = response.factors(worth / (left + matrices.floor(settings)), still, whole)
-        gram = response.with_factors(factors, whole)
+        factors = law.factors(worth / (left + matrices.floor(settings)), still)
+        gram = law.with_factors(factors)
     mean_square = matrices.mean_square(gram, np.r_[still, 1.0])
     return _scored(
-        matrices, np.zeros(0), still, deviation, centring, mean_square, nothing, factors,
-        response.power(whole), settings,
+        matrices, np.zeros(0), still[1:], deviation, centring, mean_square, nothing, factors,
+        law.power(still), settings,
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class _ZetaResponse:
-    """The responses to zeta, each channel's but that of z with a factor of its own.
+class _Law:
+    """Gram matrices of a model's changes, each channel's but those of z with a factor of its own.
 
     Attributes:
         matrices: Of the runs.
-        gram: Of (coefficients..., log zeta of each run, residual), shape (blocks, n, n).
+        gram: Of (columns..., log zeta of each run, residual), shape (blocks, n, n).
+        held: What the residual has of the columns and log zetas already, shape (n - 1,).
         settings: For the prior on the factors.
     """
 
     matrices: DifferenceGram
     gram: np.ndarray
+    held: np.ndarray
     settings: DifferenceFitSettings
 
-    def factors(self, weight: np.ndarray, change: np.ndarray, log_zeta: np.ndarray) -> np.ndarray:
-        """Likeliest factors, less one [-], shape (blocks,); zero for z, which measures zeta.
+    def factors(self, weight: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Likeliest factors, less one [-], shape (blocks,); zero for z, which the others follow.
 
         Args:
             weight: Of each block's sum of squares.
-            change: Coefficients and changes of log zeta of a fit, shape (n - 1,).
-            log_zeta: Log zeta of each run over its condition's [-], shape (runs,).
+            change: Of the columns and log zetas, shape (n - 1,).
         """
-        by_zeta = self.gram @ np.r_[np.zeros(len(change) - len(log_zeta)), log_zeta, 0.0]
-        square = by_zeta[:, -1 - len(log_zeta) : -1] @ log_zeta
-        product = by_zeta @ np.r_[change, 1.0]
+        whole = np.r_[self.held + change, 0.0]
+        response = self.gram @ whole
+        square, product = response @ whole, response @ np.r_[change, 1.0]
         found = np.zeros(len(self.matrices.blocks))
         for channel in {channel for channel, _ in self.matrices.blocks if channel != "z"}:
             at = np.array([each == channel for each, _ in self.matrices.blocks])
-            held = weight[at] @ square[at] + self.settings.zeta_factor_prior**-2
-            found[at] = -(weight[at] @ product[at]) / held
+            known = weight[at] @ square[at] + self.settings.law_factor_prior**-2
+            found[at] = -(weight[at] @ product[at]) / known
         return found
 
-    def power(self, log_zeta: np.ndarray) -> np.ndarray:
-        """Mean square of the model's response to these log zetas, shape (blocks,)."""
-        before = self.gram.shape[-1] - 1 - len(log_zeta)
-        return self.matrices.mean_square(self.gram, np.r_[np.zeros(before), log_zeta, 0.0])
+    def power(self, change: np.ndarray) -> np.ndarray:
+        """Mean square of all that the model changes, without the factors, shape (blocks,)."""
+        return self.matrices.mean_square(self.gram, np.r_[self.held + change, 0.0])
 
-    def with_factors(self, factors: np.ndarray, log_zeta: np.ndarray) -> np.ndarray:
-        """Gram matrices with these factors; the residual has them for the zeta that it is at.
-
-        Args:
-            factors: By block, less one [-], shape (blocks,).
-            log_zeta: Of each run where the residual is, over its condition's [-], shape (runs,).
-        """
-        size, runs = self.gram.shape[-1], len(log_zeta)
-        own = np.arange(size - 1 - runs, size - 1)
+    def with_factors(self, factors: np.ndarray) -> np.ndarray:
+        """Gram matrices with these factors, by block, less one [-], shape (blocks,)."""
+        size = self.gram.shape[-1]
         turn = np.zeros((len(factors), size, size)) + np.eye(size)
-        turn[:, own, own] += factors[:, None]
-        turn[:, own, -1] = factors[:, None] * log_zeta
+        every = np.arange(size - 1)
+        turn[:, every, every] += factors[:, None]
+        turn[:, :-1, -1] = factors[:, None] * self.held
         return np.swapaxes(turn, 1, 2) @ self.gram @ turn
 
 
@@ -216,7 +216,7 @@ def _scored(
     mean_square: np.ndarray,
     response_error: np.ndarray,
     factors: np.ndarray,
-    by_zeta: np.ndarray,
+    power: np.ndarray,
     settings: DifferenceFitSettings,
 ) -> DifferenceFit:
     """A fit with its score."""
@@ -226,7 +226,7 @@ def _scored(
     scatter = float(own @ centring @ own) / max(contrasts, 1)
     level = float(own @ (own - centring @ own)) / settings.level_width**2
     by_channel = dict(zip((channel for channel, _ in matrices.blocks), factors, strict=True))
-    of_factors = sum((each / settings.zeta_factor_prior) ** 2 for each in by_channel.values())
+    of_factors = sum((each / settings.law_factor_prior) ** 2 for each in by_channel.values())
     zeta_score = settings.bed.evidence(scatter, contrasts) - 0.5 * (float(of_factors) + level)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
     return DifferenceFit(
@@ -238,7 +238,7 @@ def _scored(
         zeta_score,
         float(settings.bed.hold(scatter, contrasts) ** -0.5),
         factors,
-        by_zeta,
+        power,
     )
 
 

@@ -22,9 +22,9 @@ class DifferenceFitSettings:
         shape_prior: Width of the prior on a shape's logarithm about where it starts [-].
         zeta_prior: Width of the prior on a common change of log zeta [-]: sand that was dug over
             or dried changes by a tenth, another sand may be of half the strength.
-        zeta_factor_prior: Width of the prior on the factor by which a channel's response to zeta
-            may be off [-]: laws whose coefficients and exponents differ as those of common sands
-            do move x by half or by twice as much.
+        law_factor_prior: Width of the prior on the factor by which a channel's response may be off
+            [-]: laws whose coefficients and exponents differ as those of common sands do move x by
+            a third more or less for the same change of sinkage.
         level_width: Width of the prior on a condition's log zeta, about that with which its runs
             without an effect were matched [-], over the root of its number of runs.
         linear_error: Share of a response that may be wrong for being linear, and for the sand's
@@ -40,7 +40,7 @@ class DifferenceFitSettings:
     strength_prior: float = 5.0
     shape_prior: float = 0.7
     zeta_prior: float = 0.5
-    zeta_factor_prior: float = 0.3
+    law_factor_prior: float = 0.3
     level_width: float = 0.05
     linear_error: float = 0.15
     simulated_error: float = 0.05

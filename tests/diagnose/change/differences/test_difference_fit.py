@@ -159,9 +159,9 @@ def test_another_law_moves_x_further_for_the_same_sinkage():
     conditions = [MatchedCondition((run,), (run + 1,)) for run in (0, 2, 4)]
     differences = differences_of([time] * 6, conditions, ("z", "x"))
     random = np.random.default_rng(5)
-    of_each = [1e-2 * (1 + random.random((2, 1))) * np.stack([time, time**2]) for _ in range(3)]
+    of_each = [3e-2 * (1 + random.random((2, 1))) * np.stack([time, time**2]) for _ in range(3)]
     by_zeta = [each for each in of_each for _ in range(2)]
-    scatter = 0.02 * np.array([-1, 1, 0.5, -0.5, 0.3, -0.3])
+    scatter = 0.01 * np.array([-1, 1, 0.5, -0.5, 0.3, -0.3])
     # The sand moves x by 1.4 times what the model does.
     of_sand = [z * np.array([[1.0], [1.4]]) for z in by_zeta]
     residual = [-z * own for z, own in zip(of_sand, scatter, strict=True)]
@@ -171,25 +171,27 @@ def test_another_law_moves_x_further_for_the_same_sinkage():
     centring = differences.centring
 
     def fit(prior: float, at: np.ndarray | None = None):
-        settings = replace(SETTINGS, zeta_factor_prior=prior)
+        settings = replace(SETTINGS, law_factor_prior=prior)
         free = CoefficientPrior.free(np.zeros(0))
         if at is None:
             return fit_differences(matrices, (), np.zeros(6), centring, free, 0.0, settings)
         moved = [r + z * own for r, z, own in zip(residual, by_zeta, at, strict=True)]
-        there = gram_of(differences, nothing, by_zeta, moved)
+        changed = [(z * own)[:, :, None] for z, own in zip(by_zeta, at, strict=True)]
+        there = gram_of(differences, changed, by_zeta, moved)
         return score_differences(there, at, centring, settings)
 
-    wide, held = fit(100.0), fit(1e-6)
+    wide, held = fit(1.0), fit(1e-6)
     of_x = [channel == "x" for channel, _ in matrices.blocks]
     # The bed's scatter holds zeta back a little, and the factor makes up for it.
-    np.testing.assert_allclose(wide.zeta_factors[of_x], 0.4, atol=0.02)
-    assert not wide.zeta_factors[np.logical_not(of_x)].any()
+    np.testing.assert_allclose(wide.law_factors[of_x], 0.4, atol=0.02)
+    assert not wide.law_factors[np.logical_not(of_x)].any()
     assert wide.mean_square[of_x].sum() < 1e-3 * held.mean_square[of_x].sum()
     # A score of residuals that are there finds the same factors as the fit that leads there.
-    there = fit(100.0, wide.zeta_change)
-    np.testing.assert_allclose(there.zeta_factors, wide.zeta_factors, rtol=1e-6)
+    there = fit(1.0, wide.zeta_change)
+    np.testing.assert_allclose(there.law_factors, wide.law_factors, rtol=1e-6)
     assert there.score == pytest.approx(wide.score, rel=1e-9)
-    # What the prior asks of them is counted: a factor of two thirds of its width costs 2/9.
+    # What the prior asks of them is counted, once for the channel.
     narrow = fit(0.6, wide.zeta_change)
     cost = narrow.zeta_score - there.zeta_score
-    assert cost == pytest.approx(-0.5 * (narrow.zeta_factors[of_x][0] / 0.6) ** 2, rel=1e-3)
+    asked = (narrow.law_factors[of_x][0] / 0.6) ** 2 - there.law_factors[of_x][0] ** 2
+    assert cost == pytest.approx(-0.5 * asked, rel=1e-6)
