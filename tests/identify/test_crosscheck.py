@@ -186,19 +186,18 @@ def test_a_path_of_which_no_knot_is_told_is_drawn(checked):
 
 
 def test_a_run_that_moves_for_too_few_ticks_is_left_out():
-    brief, name = (0.0, 0.5, 0.6, 0.65, 0.75), "brief"
+    brief, name = (0.0, 0.5, 0.55, 0.6, 0.68), "brief"
     setup = known_setup(name, faint, GRID, brief, (0.0, 0.0, 45.0, 45.0, 0.0), PLATE_SIZE)
     setup.integrator = IntegratorSetUp(step=STEP)
     each = prepare_run(name, known_run(setup, np.random.default_rng(1)), step=STEP)
     each.setup.wheel.plate_size = PLATE_SIZE
     short = dataclasses.replace(each, trial=each.setup.trial(2 * STEP))
-    found = crosscheck(
-        [ready("faint", faint), short], TunerSetting(2 * TICK, 1e-3, 1e-4), sweep=False
-    )
+    runs = [ready("faint", faint), short]
+    found = crosscheck(runs, SETTING, knot_spacing=0.4, sweep=False)
     assert [run.name for run in found.runs] == ["faint"]
     assert "too few to compare" in found.failures[name]
     with pytest.raises(RunError, match=f"{name}: the wheel moves over"):
-        crosscheck([short], TunerSetting(2 * TICK, 1e-3, 1e-4), sweep=False)
+        crosscheck([short], SETTING, knot_spacing=0.4, sweep=False)
 
 
 # The command --------------------------------------------------------------------------------------

@@ -56,7 +56,7 @@ def run(number: int, top: float, step: float = STEP, **changed) -> PreparedRun:
 
 @pytest.fixture(scope="module")
 def runs() -> list[PreparedRun]:
-    return [run(number, 80.0, STEP / 2) for number in range(2)]
+    return [run(number, 80.0) for number in range(2)]
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
 
 def pulled(number: int, force: float) -> PreparedRun:
     """A run that a drawbar pulls back, and its set-up knows of drawbars."""
-    each = run(number, 20.0, effects=[{"name": "drawbar", "force": force}])
+    each = run(number, 20.0, 2 * STEP, effects=[{"name": "drawbar", "force": force}])
     add_fitted_effects(each.setup, ["drawbar.force"])
     return dataclasses.replace(each, trial=each.setup.trial(10 * STEP))
 
@@ -151,7 +151,7 @@ def test_what_a_path_finds_itself_is_refused(runs, name, said):
 
 
 def test_a_value_at_its_bound_is_said_to_be_and_a_run_outside_is_left_out():
-    runs = [run(number, 45.0) for number in range(2)]
+    runs = [run(number, 45.0, 2 * STEP) for number in range(2)]
     write = shared("lambda").quantity.write
     within, beyond = (
         dataclasses.replace(each, trial=write(each.trial, jnp.asarray(value)))

@@ -10,6 +10,7 @@ from drftjax.recorded.prepared_run import PreparedRun
 from identify.crosscheck.crosscheck import crosscheck
 from identify.crosscheck.replays import TunerSetting
 from identify.fit_path import fit_paths
+from identify.results.result import FitResult
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 SETTING = TunerSetting(0.02, 1e-3, 1e-4)
@@ -47,8 +48,13 @@ def good() -> list[PreparedRun]:
     return [sound("one", 0.74), sound("another", 0.75)]
 
 
+@pytest.fixture(scope="module")
+def alone(good) -> FitResult:
+    return fit_paths(good, 0.5)
+
+
 @pytest.mark.parametrize("bad", BAD)
-def test_a_run_that_cannot_be_used_is_named_and_the_others_go_on(good, bad):
+def test_a_run_that_cannot_be_used_is_named_and_the_others_go_on(good, alone, bad):
     make, why = BAD[bad]
     runs = [good[0], make(), good[1]]
     fitted = fit_paths(runs, 0.5)
@@ -57,7 +63,6 @@ def test_a_run_that_cannot_be_used_is_named_and_the_others_go_on(good, bad):
         assert [each.name for each in found.runs] == ["one", "another"]
         assert list(found.failures) == [bad]
         assert why in found.failures[bad]
-    alone = fit_paths(good, 0.5)
     for one, other in zip(fitted.runs, alone.runs, strict=True):
         assert np.array_equal(one.path.value, other.path.value)
 

@@ -13,7 +13,7 @@ from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
 from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
-from drftjax.effects.drive import Backlash, SpeedHarmonics, SpeedLag, SpeedRipple
+from drftjax.effects.drive import Backlash, SpeedGain, SpeedHarmonics, SpeedLag, SpeedRipple
 from drftjax.effects.rig import HorizontalCoulomb
 from drftjax.effects.sensor import SinkageGain
 from drftjax.effects.surface import SurfaceBump, SurfaceProfile
@@ -79,7 +79,7 @@ def test_a_bump_goes_by_the_name_of_the_surface(pool):
 def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers(pool):
     given = {"cosine": 0.1, "sine": 0.0, "cosine2": 0.0, "sine2": 0.04, "order": 9.0}
     dataset = dataset_with({"name": "speed_harmonics", **given})
-    singles = screen_effects(dataset, (SpeedRipple, SpeedHarmonics, SpeedLag), pool).singles
+    singles = screen_effects(dataset, (SpeedRipple, SpeedHarmonics, SpeedGain), pool).singles
     best = singles[0]
     assert best.names == ("speed_harmonics",)
     assert reported_names(best.names) == ("speed_ripple",)

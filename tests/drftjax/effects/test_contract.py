@@ -59,8 +59,6 @@ ROUNDING = 2
 AGREEMENT = 3e-3
 # Share of the typical strength. Longer changes pass corners, shorter ones drown in rounding.
 CHANGES = (1e-7, 3e-7, 1e-6)
-# Forward and reverse mode multiply the same matrices in another order.
-ORDER = 1e-8
 # Sums and products of some doubles in another order.
 SUMS = 1e-13
 # The smallest change of a reading that a typical effect makes here [m], [N]: far under any noise
@@ -269,31 +267,15 @@ def test_derivatives_at_the_null_are_those_of_the_program(name, null, difference
         assert error.max() < AGREEMENT, field
 
 
-# Those with memory or a derivative of their own, of every stage that has any.
-BACKWARD = (
-    *("backlash", "loosening", "surface_profile", "surface_undulation", "cable_spring"),
-    "measurement_delay",
-)
-
-
-def test_reverse_mode_agrees_with_forward(null):
-    weights = np.random.default_rng(0).normal(size=null[0].shape)
-    weights /= np.abs(null[0]).max(axis=1, keepdims=True)
-    gradient = jax.jit(jax.grad(lambda values: jnp.sum(weights * readings(values, BACKWARD))))
-    reverse = np.asarray(gradient(jnp.asarray(NULL_VECTOR))) @ DIRECTIONS.T
-    forward = np.sum(weights * null[1], axis=(1, 2))
-    there = [effect in BACKWARD for effect, _ in STRENGTHS]
-    size = np.abs(forward[there]).max()
-    np.testing.assert_allclose(reverse[there], forward[there], rtol=ORDER, atol=ORDER * size)
-
-
-# Length [s], knots in time [s] and wheel speeds [deg/s]: of the gentlest reference runs (in half
-# the time) and of the fastest.
+# Length [s], knots in time [s] and wheel speeds [deg/s]: of the gentlest reference runs (in a
+# quarter of the time) and of the fastest (in half of it).
 PROFILES = {
-    "30 deg/s": (12.0, (0, 1, 3.5, 8.5, 11, 12), (0, 0, 30, 30, 0, 0)),
-    "300 deg/s": (10.0, (0, 1, 3, 7, 9, 10), (0, 0, 300, 300, 0, 0)),
+    "30 deg/s": (6.0, (0, 0.5, 1.75, 4.25, 5.5, 6), (0, 0, 30, 30, 0, 0)),
+    "300 deg/s": (5.0, (0, 0.5, 1.5, 3.5, 4.5, 5), (0, 0, 300, 300, 0, 0)),
 }
-PROFILE_STEPS = 8000
+PROFILE_STEPS = 4000
+# Of the time that a reference run takes.
+HASTE = 0.5
 
 
 @pytest.fixture(scope="module")
@@ -339,13 +321,14 @@ def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drive
         assert np.abs(change[0][driving]).max() < 0.3 * farthest, name
 
 
-@pytest.mark.parametrize("name", ["paper", "fast_90deg", "fast_300deg"])
+@pytest.mark.parametrize("name", ["paper", "fast_300deg"])
 def test_derivatives_at_the_null_are_finite_over_the_reference_profiles(
     name, shared, over_a_profile
 ):
     command = read_run(shared / "reference_rigs" / f"{name}.h5").command
-    dt = float(command.time[-1]) / PROFILE_STEPS
-    omega = np.interp(dt * np.arange(1, PROFILE_STEPS + 1), command.time, command.omega)
+    time = HASTE * command.time
+    dt = float(time[-1]) / PROFILE_STEPS
+    omega = np.interp(dt * np.arange(1, PROFILE_STEPS + 1), time, command.omega)
     table = jnp.asarray(np.stack([NULL_VECTOR] * len(ON_FREE)))
     along = [vector(**{each: typical(each)}) - NULL_VECTOR for each in ON_FREE]
     values, changes = over_a_profile(

@@ -18,7 +18,7 @@ from drftjax.effects.wheel import GrouserShadowing
 from drftjax.physics.rig import DrivenCarriage, Rig
 from drftjax.physics.wheel import GrouserWheel
 from drftjax.simulation.simulator import Simulator
-from tests.helpers.effect_runs import KNOWN, NUMBERS, RIM, built, driven, rows, simulator, vector
+from tests.helpers.effect_runs import KNOWN, RIM, built, driven, rows, simulator, vector
 
 # What an effect does is worked out for steady driving; the runs come near to that, not more.
 STEADY = 0.03
@@ -84,26 +84,24 @@ def test_a_driven_carriage_that_runs_fast_is_one_that_is_told_to():
 
 
 def test_derivatives_by_the_speed_of_a_driven_carriage_are_those_of_its_gain():
-    start = driven(True, SPEED)
+    start, rig = driven(True, SPEED), Rig(carriage=DrivenCarriage())
 
-    def by_command(excess):
-        vx = (1 + excess) * CARRIAGE
-        return _channels(program(True)(jnp.asarray(vector()), start, HOLD, vx))
+    def run(excess, gain):
+        sim = replace(simulator(RIM), rig=rig, effects=(KNOWN["carriage_gain"](gain=gain),))
+        output = rows(sim, start, HOLD, DT, EVERY, (1 + excess) * CARRIAGE)
+        return jnp.stack([getattr(output, each) for each in ("x", "z", "fx", "fz", "torque")])
 
-    def by_gain(gain):
-        values = jnp.asarray(vector()).at[NUMBERS.index(("carriage_gain", "gain"))].set(gain)
-        return _channels(program(True)(values, start, HOLD, CARRIAGE))
+    @jax.jit
+    def along(at, change):
+        return jax.jvp(run, at, change)
 
-    told, fast = (jax.jacfwd(each)(0.0) for each in (by_command, by_gain))
+    told, fast = (along((0.0, 0.0), change)[1] for change in ((1.0, 0.0), (0.0, 1.0)))
     np.testing.assert_allclose(told, fast, rtol=CLOSE, atol=CLOSE * np.abs(fast).max())
     change = 1e-6
-    differences = (by_command(change) - by_command(-change)) / (2 * change)
+    ahead, behind = (along((excess, 0.0), (1.0, 0.0))[0] for excess in (change, -change))
+    differences = (ahead - behind) / (2 * change)
     error = np.abs(differences - told) / np.abs(told).max(axis=1, keepdims=True)
     assert np.median(error, axis=1).max() < STEADY
-
-
-def _channels(output):
-    return jnp.stack([output.x, output.z, output.fx, output.fz, output.torque])
 
 
 def test_a_free_carriage_has_no_gain():

@@ -13,14 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from drftjax.physics.rig import DrivenCarriage
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.record import RunLog
 from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import SetUp
-from drftjax.simulation.trial import Trial
+from drftjax.simulation.trial import Trial, pad_to_shared_size
 from drftjax.tuning.replay import replay_trial
 from drftjax.tuning.step_tuner import StepTuner
+from tests.helpers.shared_program import whole_run
 
 # What a user may rely on: a tenth of a millimetre of sinkage, of wheels over 150 mm 0.3 % of the
 # radius; two millimetres of travel.
@@ -68,13 +70,10 @@ def trial_of(setup: SetUp) -> Trial:
     return setup.trial()
 
 
-run = eqx.filter_jit(Trial.run)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_run_is_that_of_the_other_implementation(rigs, name):
     setup, log = recorded(rigs, name)
-    output = run(trial_of(setup))
+    output = whole_run(trial_of(setup))
     time = log.measured.time
     z = np.interp(time, output.time, output.z)
     error, last = z - log.measured.z, np.interp(time[-1], output.time, output.x)
@@ -109,6 +108,24 @@ LEAVES = {
 }
 
 
+@eqx.filter_jit
+def slopes(trial: Trial, rows, table: tuple[str, ...]):
+    """Derivatives of the mean of z and of fx, or of the way, by logarithms, shape (2, table)."""
+
+    def outcome(logarithms):
+        changed = trial
+        for leaf, by in zip(map(LEAVES.get, table), logarithms, strict=True):
+            changed = eqx.tree_at(leaf, changed, leaf(changed) * jnp.exp(by))
+        x, z, fx = changed.run_to(rows, ("x", "z", "fx"))
+        number = jnp.arange(len(z))
+        second_half = (number >= (rows + 1) // 2) & (number <= rows)
+        driven = isinstance(trial.simulator.rig.carriage, DrivenCarriage)
+        second = jnp.mean(fx, where=second_half) if driven else 1e3 * x[rows]
+        return jnp.stack([1e3 * jnp.mean(z, where=second_half), second])
+
+    return jax.jacfwd(outcome)(jnp.zeros(len(table)))
+
+
 @pytest.mark.parametrize("name", TABLE)
 def test_derivatives_are_those_of_the_other_implementation(rigs, name):
     table = json.loads((rigs / "derivatives.json").read_text())[name]
@@ -119,17 +136,7 @@ def test_derivatives_are_those_of_the_other_implementation(rigs, name):
     assert choice.within == (name != "drop_20mm")
     trial = setup.trial()
 
-    def outcome(logarithms):
-        changed = trial
-        for leaf, by in zip(map(LEAVES.get, table), logarithms, strict=True):
-            changed = eqx.tree_at(leaf, changed, leaf(changed) * jnp.exp(by))
-        output = changed.run()
-        half = output.z.shape[0] // 2
-        driven = setup.rig.carriage == "driven"
-        second = jnp.mean(output.fx[half:]) if driven else 1e3 * output.x[-1]
-        return jnp.stack([1e3 * jnp.mean(output.z[half:]), second])
-
-    found = jax.jit(jax.jacfwd(outcome))(jnp.zeros(len(table)))
+    found = slopes(pad_to_shared_size(trial), jnp.asarray(trial.rows), tuple(table))
     expected = np.array(list(table.values())).T
     largest = np.abs(expected).max(axis=1, keepdims=True)
     allowed = np.maximum(RELATIVE * np.abs(expected), OF_LARGEST * largest)

@@ -16,10 +16,12 @@ from drftjax.physics.state import State
 from drftjax.physics.stress import QuasiStatic
 from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
-from drftjax.simulation.rollout import step_times
+from drftjax.runlog.record import RecordedCommand
 from drftjax.simulation.simulator import LARGEST_GROWTH, Simulator
 from drftjax.simulation.statics import DEFAULT_STATICS, REST, sinkage_under_load
-from tests.studies.runs import profile, roll
+from drftjax.simulation.trial import Trial
+from tests.helpers.shared_program import whole_run
+from tests.studies.runs import profile
 
 # A wheel that stands where the sand at rest carries it goes no farther than that depth is known.
 NO_CREEP = DEFAULT_STATICS.tolerance
@@ -58,10 +60,9 @@ REST_DEPTH = float(sinkage_under_load(Simulator(), 0.7823, descent=REST))
 def drive(simulator, duration, omega, start=None, vx=0.0, step=DEFAULT_STEP, interval=0.01):
     """Rows of a wheel that turns at omega [rad/s] from the first step on."""
     start = State.at_rest(0.025) if start is None else start
-    times = step_times(round(duration / step), step)
-    flat = jnp.ones_like(times)
-    commands = Command(omega * flat, vx * flat, flat)
-    return roll(simulator, start, commands, step, every=round(interval / step))[1]
+    command = RecordedCommand([0.0, duration], [omega, omega], [vx, vx])
+    whole = whole_run(Trial.of(simulator, start, command, step, interval))
+    return jax.tree.map(lambda values: values[1:], whole)
 
 
 def passages(rows, omega, count=2):
