@@ -93,9 +93,16 @@ def check_same(ours: FitResult, theirs: FitResult) -> None:
             np.testing.assert_allclose(getattr(one, what), getattr(other, what), atol=SAME)
 
 
-def test_shared_and_own_numbers_are_those_of_one_process(client, logs, alone, tmp_path):
-    with store_at(tmp_path / "fit.store") as store:
-        found = fit_together_on(client, logs, SETTINGS, store)
+@pytest.fixture(scope="module")
+def together(client, logs, tmp_path_factory) -> tuple[FitResult, Path]:
+    """The runs fitted by the cluster, and the store of that fit."""
+    path = tmp_path_factory.mktemp("together") / "fit.store"
+    with store_at(path) as store:
+        return fit_together_on(client, logs, SETTINGS, store), path
+
+
+def test_shared_and_own_numbers_are_those_of_one_process(together, alone):
+    found, _ = together
     check_same(found, alone)
     # The runs' own zeta are a random effect: they scatter as the sands do.
     assert any("zeta is 0.7" in each and "from run to run" in each for each in found.findings)
@@ -118,10 +125,8 @@ def test_a_killed_worker_changes_nothing(client, logs, alone, tmp_path):
     check_same(found, alone)
 
 
-def test_steps_in_the_store_are_not_made_again(client, logs, alone, tmp_path, monkeypatch):
-    path = tmp_path / "fit.store"
-    with store_at(path) as store:
-        fit_together_on(client, logs, SETTINGS, store)
+def test_steps_in_the_store_are_not_made_again(client, logs, alone, together, monkeypatch):
+    _, path = together
     kept = path.read_bytes()
 
     def refuse(_: object) -> None:
@@ -145,7 +150,7 @@ def test_a_killed_call_goes_on_where_it_ended_and_names_bad_files(drft, folder, 
         '[[parameter]]\nname = "zeta"\n'
     )
     arguments = [
-        *("fit", bad, *sorted(folder.glob("*.h5")), "--cluster", "local:2", "-o", stem),
+        *("fit", bad, *sorted(folder.glob("*.h5")), "--cluster", "local:1", "-o", stem),
         *("--step", FAST_STEP, "--autoregressive", "--parameters", toml),
     ]
     command = [sys.executable, "-m", "drftjax.commands.main", *map(str, arguments)]
