@@ -19,6 +19,7 @@ from diagnose.hypotheses.set_screening import (
 )
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import shared_model
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
@@ -44,9 +45,11 @@ FEW = 3
 
 @pytest.fixture(scope="module")
 def regressors(pool) -> Regressors:
+    effects = [*map(effect_class, CANDIDATES)]
     dataset = dataset_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
+    dataset = replace(dataset, shared=shared_model(effects))
     linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
-    return Regressors.of(dataset, linearized, [*map(effect_class, CANDIDATES)], pool)
+    return Regressors.of(dataset, linearized, effects, pool)
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import pytest
 from drftjax.common import memory
 from drftjax.common.memory import CHUNK_MEMORY, ChunkMemory, chunk_bytes, free_bytes
 from identify.fit_constant import fit
-from identify.parameters.parameter import own, shared
+from identify.parameters.parameter import own
 from identify.uncertainty.bootstrap import noise_chunks
-from tests.helpers.synthetic_runs import FAST, coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
 
 MEMINFO = "MemTotal:  8000 kB\nMemFree:  100 kB\nMemAvailable:  4000 kB\n"
 # Sums over other numbers of draws at once may round otherwise.
@@ -48,9 +48,9 @@ def test_a_piece_is_a_share_of_what_is_free(monkeypatch):
 
 def test_pieces_of_any_size_draw_the_same(monkeypatch):
     runs = [
-        coarse(f"run {number}", recorded(setup_of(FAST, 0.75), seed=number)) for number in range(2)
+        coarse(f"run {number}", recorded(setup_of(SLOW, 0.75), seed=number)) for number in range(2)
     ]
-    result = fit(runs, [own("zeta"), shared("lambda")])
+    result = fit(runs, [own("zeta")])
     found, pieces = [], []
     small = partial(chunk_bytes, settings=ChunkMemory(minimum=1.0))
     monkeypatch.setattr("identify.uncertainty.bootstrap.chunk_bytes", small)
