@@ -269,7 +269,7 @@ def test_derivatives_of_rounded_corners_have_slopes():
     def stiffness(corners):
         simulator = Simulator(terrain=Terrain(law=Dynamic(corners=corners)))
         position, *rest = a_motion()
-        return jax.grad(lambda z: simulator.wrench(position.at[1].set(z), *rest)[1])
+        return jax.jit(jax.grad(lambda z: simulator.wrench(position.at[1].set(z), *rest)[1]))
 
     # Between these heights plates enter the sand.
     heights = jnp.linspace(-0.034, -0.024, 41)
@@ -278,7 +278,8 @@ def test_derivatives_of_rounded_corners_have_slopes():
         return float(stiffness(corners)(heights[-1]) - stiffness(corners)(heights[0]))
 
     def summed(corners):
-        return float(jnp.trapezoid(jax.vmap(jax.grad(stiffness(corners)))(heights), heights))
+        slopes = jax.jit(jax.vmap(jax.grad(stiffness(corners))))(heights)
+        return float(jnp.trapezoid(slopes, heights))
 
     assert summed(Rounded()) == pytest.approx(change(Rounded()), rel=TRAPEZOIDS)
     # Sharp ones have none: all change is in their jumps, which no slope adds up to.

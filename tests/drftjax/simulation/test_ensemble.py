@@ -64,9 +64,13 @@ def test_devices_only_share_the_work():
 
 def test_gradients_pass_through_an_ensemble_as_through_a_run():
     zetas = jnp.linspace(0.7, 0.9, 3)
-    single = jax.vmap(jax.jit(jax.grad(lambda zeta: alone(zeta)[1].z[-1])))(zetas)
-    backward = jax.grad(lambda zetas: ensemble(zetas)[1].z[:, -1].sum())(zetas)
-    forward = jax.jvp(lambda zetas: ensemble(zetas)[1].z[:, -1], (zetas,), (jnp.ones(3),))[1]
+    single = jax.jit(jax.vmap(jax.grad(lambda zeta: alone(zeta)[1].z[-1])))(zetas)
+
+    def last(zetas):
+        return ensemble(zetas)[1].z[:, -1]
+
+    backward = jax.jit(jax.grad(lambda zetas: last(zetas).sum()))(zetas)
+    forward = jax.jit(lambda zetas: jax.jvp(last, (zetas,), (jnp.ones(3),))[1])(zetas)
     np.testing.assert_allclose(backward, single, **GRADIENT)
     np.testing.assert_allclose(forward, single, **GRADIENT)
 

@@ -10,10 +10,6 @@ to lead, changes the matrix that a step solves with. So three questions are aske
    four times longer step says so, to `METHODS`.
 """
 
-import subprocess
-import sys
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -128,52 +124,25 @@ def test_reverse_mode_over_the_whole_run_needs_little_memory(reverse):
     assert reverse.memory_analysis().temp_size_in_bytes < LARGEST_MEMORY
 
 
-MEASURE = """
-from pathlib import Path
-import jax, jax.numpy as jnp
-from tests.studies.runs import profile
-from tests.drftjax.simulation.test_gradients import AT, DEFAULT_STEP, outcome
-
-def most():
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return 1024 * int(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
-
-run = outcome(profile(), DEFAULT_STEP)
-gradient = jax.jit(jax.jacrev(run)).lower(jnp.asarray(AT)).compile()
-# What compiling took at most would hide what running takes.
-Path("/proc/self/clear_refs").write_text("5")
-before = most()
-gradient(jnp.asarray(AT)).block_until_ready()
-print(most() - before)
-"""
-
-
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux tells the most")
-def test_a_process_that_takes_the_gradient_grows_little():
-    measured = subprocess.run(
-        [sys.executable, "-c", MEASURE],
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    assert float(measured.stdout) < LARGEST_MEMORY
-
-
-@pytest.mark.parametrize("above", [1e-4, 1.17e-3, 3e-3])
-def test_a_wheel_that_falls_ends_the_deeper_the_higher_it_was_let_go(above):
+@pytest.fixture(scope="module")
+def falling():
+    """z at the end of a fall from a height, and the height at which the wheel would stand."""
     setup = SetUp(command=CommandSetUp([0.0, 0.5], [0.0, 0.0]))
     setup.integrator.step = 5e-3
     trial = setup.trial(5e-3)
-    start = above - float(sinkage_under_load(trial.simulator, setup.terrain.zeta))
 
     @jax.jit
     def end(height):
         moved = eqx.tree_at(lambda t: t.start.position, trial, jnp.stack([0 * height, height]))
         return moved.run().z[-1]
 
-    step = 1e-7
+    return end, -float(sinkage_under_load(trial.simulator, setup.terrain.zeta))
+
+
+@pytest.mark.parametrize("above", [1e-4, 1.17e-3, 3e-3])
+def test_a_wheel_that_falls_ends_the_deeper_the_higher_it_was_let_go(above, falling):
+    end, standing = falling
+    start, step = standing + above, 1e-7
     difference = (end(start + step) - end(start - step)) / (2 * step)
     assert difference < -0.8
     assert jax.jacfwd(end)(start) == pytest.approx(float(difference), rel=AGREEMENT)
