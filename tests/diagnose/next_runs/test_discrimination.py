@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset
-from diagnose.hypotheses.screening import screen_effects
+from diagnose.hypotheses.screening import ScreeningSettings, screen_effects
 from diagnose.next_runs.discrimination import (
     DEFAULT_NEXT_RUN,
     NextRunSettings,
@@ -20,10 +20,12 @@ from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
 
+# Pairs are not looked for.
+ALONE = ScreeningSettings(pair_floor=np.inf)
 FLOORS = {"x": 80e-6, "z": 30e-6}
 # Sums of speeds over time, of metres.
 ROUNDING = 1e-12
-NAMES = ("drawbar", "horizontal_coulomb")
+NAMES = ("drawbar", "horizontal_coulomb", "bulldozing")
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +34,16 @@ def pulled():
 
 
 @pytest.fixture(scope="module")
-def both(pulled, pool):
-    # Both pull back all the while as long as the carriage only goes forward.
-    singles = {
-        each.names: each
-        for each in screen_effects(pulled, [*map(effect_class, NAMES)], pool).singles
-    }
+def three(pulled, pool):
+    # All pull back all the while as long as the carriage only goes forward.
+    screened = screen_effects(pulled, [*map(effect_class, NAMES)], pool, settings=ALONE)
+    singles = {each.names: each for each in screened.singles}
     return [singles[(name,)] for name in NAMES]
+
+
+@pytest.fixture(scope="module")
+def both(three):
+    return three[:2]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +52,7 @@ def advice(both, pulled, pool):
 
 
 def test_it_names_the_run_that_parts_two_explanations(advice):
-    assert advice["tells"] == list(NAMES)
+    assert advice["tells"] == list(NAMES[:2])
     assert "backward" in advice["run"]["run"]
     assert advice["run"]["floors"] > DEFAULT_NEXT_RUN.min_floors
 
@@ -138,7 +143,8 @@ def test_runs_without_travel_are_advised_too(channels, pool):
         for n, zeta in enumerate((0.75, 0.76))
     ]
     case = RigDataset.of(runs)
-    found = screen_effects(case, [effect_class("vertical_spring"), effect_class("loosening")], pool)
+    effects = [effect_class("vertical_spring"), effect_class("loosening")]
+    found = screen_effects(case, effects, pool, settings=ALONE)
     floors = dict.fromkeys(case.channels, 1e-9)
     first, second = found.none, found.singles[0]
     told = next_run(case, first, [second], floors, pool)
@@ -148,18 +154,13 @@ def test_runs_without_travel_are_advised_too(channels, pool):
     assert {each["channel"] for each in asked} <= compared
 
 
-def test_one_run_is_to_part_an_explanation_from_all_its_rivals(pulled, pool):
-    names = ("drawbar", "horizontal_coulomb", "bulldozing")
-    singles = {
-        each.names: each
-        for each in screen_effects(pulled, [*map(effect_class, names)], pool).singles
-    }
-    first, second, third = (singles[(name,)] for name in names)
+def test_one_run_is_to_part_an_explanation_from_all_its_rivals(three, pulled, pool):
+    first, second, third = three
     both = next_run(pulled, first, [second, third], FLOORS, pool)
     each = [
         next_run(pulled, first, [rival], FLOORS, pool)["run"]["floors"] for rival in (second, third)
     ]
-    assert both["tells"] == [*names]
+    assert both["tells"] == [*NAMES]
     # What parts two rivals parts each of them, and no better than the run that is best for it.
     assert DEFAULT_NEXT_RUN.min_floors < both["run"]["floors"] <= min(each) * (1 + ROUNDING)
 
