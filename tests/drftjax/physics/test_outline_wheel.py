@@ -50,14 +50,18 @@ def grousered(count=12, height=0.018, thickness=0.009, step=5e-4):
 
 
 def wrenches(wheel, sinkage, angles, omega=0.6):
+    return _wrenches(wheel, *(jnp.asarray(each, float) for each in (sinkage, angles, omega)))
+
+
+@eqx.filter_jit
+def _wrenches(wheel, sinkage, angles, omega):
     simulator = Simulator(wheel=wheel).prepared()
-    place = jnp.stack([jnp.zeros(()), -jnp.asarray(sinkage, float)])
-    velocity = jnp.array([0.05, -0.02])
+    place, velocity = jnp.stack([jnp.zeros(()), -sinkage]), jnp.array([0.05, -0.02])
 
     def at(angle):
-        return simulator.wrench(place, velocity, angle, jnp.asarray(omega), jnp.asarray(0.7823))
+        return simulator.wrench(place, velocity, angle, omega, jnp.asarray(0.7823))
 
-    return jax.jit(jax.vmap(at))(jnp.asarray(angles, float))
+    return jax.vmap(at)(angles)
 
 
 def assert_same(got, expected, share):

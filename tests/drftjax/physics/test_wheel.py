@@ -2,11 +2,13 @@
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.simulator import Simulator
@@ -39,6 +41,16 @@ def wrench(wheel, sinkage, angle, velocity=(0.05, -0.02), omega=0.6):
         jnp.asarray(omega),
         jnp.asarray(0.7823),
     )
+
+
+@eqx.filter_jit
+def _wrenches(wheel, sinkage, angles):
+    return jax.vmap(lambda angle: wrench(wheel, sinkage, angle))(angles)
+
+
+def wrenches(wheel, sinkage: float, angles: np.ndarray = ANGLES):
+    """Force and torque at each of some angles, shape (angles, 3)."""
+    return _wrenches(wheel, as_real(sinkage), as_real(angles))
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 4.0])
@@ -98,8 +110,8 @@ def test_wheel_that_turns_forward_moves_its_lowest_point_backward():
 def test_plates_near_the_sand_carry_all_that_the_whole_circle_carries(make, share):
     near, whole = make(), make(reach=FULL)
     sinkage = share * float(near.cut().sinkage_limit)
-    some = jax.vmap(lambda angle: wrench(near, sinkage, angle))(ANGLES)
-    all_round = jax.vmap(lambda angle: wrench(whole, sinkage, angle))(ANGLES)
+    some = wrenches(near, sinkage)
+    all_round = wrenches(whole, sinkage)
     np.testing.assert_allclose(some, all_round, rtol=0, atol=FORCE_ROUNDING)
     assert float(jnp.min(all_round[:, 1])) > 1
 
@@ -109,8 +121,8 @@ def test_sinkage_limit_is_where_the_next_plate_would_touch():
     near = GrouserWheel(reach=0.8)
     limit = float(near.cut().sinkage_limit)
     assert limit < float(GrouserWheel().cut().sinkage_limit)
-    some = jax.vmap(lambda angle: wrench(near, limit, angle))(ANGLES)
-    whole = jax.vmap(lambda angle: wrench(GrouserWheel(reach=FULL), limit, angle))(ANGLES)
+    some = wrenches(near, limit)
+    whole = wrenches(GrouserWheel(reach=FULL), limit)
     np.testing.assert_allclose(some, whole, rtol=0, atol=FORCE_ROUNDING)
 
 
@@ -119,10 +131,8 @@ def test_past_the_sinkage_limit_a_plate_is_missing(reach):
     near = GrouserWheel(reach=reach)
     deeper = float(near.cut().sinkage_limit) + DEEPER
     half_a_pitch_off = np.linspace(0.4, 0.6, 41) * 2 * math.pi / 12
-    some = jax.vmap(lambda angle: wrench(near, deeper, angle))(half_a_pitch_off)
-    whole = jax.vmap(lambda angle: wrench(GrouserWheel(reach=FULL), deeper, angle))(
-        half_a_pitch_off
-    )
+    some = wrenches(near, deeper, half_a_pitch_off)
+    whole = wrenches(GrouserWheel(reach=FULL), deeper, half_a_pitch_off)
     assert np.abs(some - whole).max() > MISSED
 
 
@@ -141,8 +151,9 @@ def test_turning_by_whole_pitches_changes_nothing(turns):
 
 
 def test_plain_wheel_is_the_same_at_every_angle():
-    wrenches = jax.vmap(lambda angle: wrench(PlainWheel(), 0.03, angle))(ANGLES)
-    np.testing.assert_array_equal(wrenches, jnp.broadcast_to(wrenches[0], wrenches.shape))
+    at_angles = wrenches(PlainWheel(), 0.03)
+    expected = jnp.broadcast_to(at_angles[0], at_angles.shape)
+    np.testing.assert_array_equal(at_angles, expected)
 
 
 def test_grouser_fraction_shortens_the_grousers():

@@ -80,22 +80,26 @@ def rolling():
     return State(jnp.zeros(()), place, velocity, jnp.asarray(0.1), jnp.asarray(0.5))
 
 
+@jax.jit
+def of_zeta(zeta, start):
+    _, commands = start_and_commands()
+    simulator = with_zeta(ConstantZeta(zeta))
+    return simulate(simulator, start, commands, DEFAULT_STEP, every=20)[1]
+
+
+of_zetas = jax.jit(jax.vmap(of_zeta, in_axes=(0, None)))
+
+
 @pytest.mark.parametrize(
     ("start", "tolerance"),
     [(rolling(), BATCHED), (State.at_rest(0.025), BATCHED_FROM_REST)],
     ids=["rolling", "from-rest"],
 )
 def test_batch_of_64_zetas_is_64_single_runs(start, tolerance):
-    _, commands = start_and_commands()
     zetas = jnp.linspace(0.4, 1.2, BATCH)
-
-    @jax.jit
-    def run(zeta):
-        simulator = with_zeta(ConstantZeta(zeta))
-        return simulate(simulator, start, commands, DEFAULT_STEP, every=20)[1]
-
-    batch = jax.jit(jax.vmap(run))(zetas)
-    singles = jax.tree.map(lambda *rows: jnp.stack(rows), *map(run, zetas))
+    batch = of_zetas(zetas, start)
+    singles = [of_zeta(zeta, start) for zeta in zetas]
+    singles = jax.tree.map(lambda *rows: jnp.stack(rows), *singles)
     np.testing.assert_allclose(batch.x, singles.x, rtol=0, atol=tolerance)
     np.testing.assert_allclose(batch.z, singles.z, rtol=0, atol=tolerance)
     # From zeta 0.4 to 1.2 a wheel sinks 20 mm less: these are 64 different runs.
