@@ -10,13 +10,14 @@ from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.gap.cross_validation import predict_held_out
 from diagnose.gap.gap import Gap, gaps, shrinkage
 from diagnose.gap.selected_effects import SelectedEffects
+from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
-from diagnose.hypotheses.screening import ScreeningSettings, screen_effects
-from diagnose.hypotheses.set_screening import set_candidates
+from diagnose.hypotheses.set_screening import refine_sets, set_candidates
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import shared_model
 from diagnose.pipeline import diagnose
 from diagnose.report.text import step_sentences
 from diagnose.selection.model_weights import (
@@ -32,8 +33,7 @@ from diagnose.selection.verdict import (
     decide,
     weight_by_name,
 )
-from drftjax.effects.catalogue import effect_class
-from drftjax.effects.drive import SpeedGain, SpeedRipple
+from drftjax.effects.drive import SpeedHarmonics, SpeedRipple
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import SinkageGain, TravelGain
 from drftjax.effects.surface import SurfaceSlope
@@ -56,11 +56,7 @@ STEPS = 0.5 * 0.1
 # No close call: a tenth for all else together.
 SURE = 0.9
 
-# A screening whose hypotheses are asked for, not their numbers.
-FEW_STEPS = ScreeningSettings(
-    first_simulations=1, max_continued=1, max_rounds=1, simulations_per_round=1, max_effects=2
-)
-CATALOGUE = (SpeedGain, Drawbar, SurfaceSlope, TravelGain)
+CATALOGUE = (Drawbar, SurfaceSlope, TravelGain)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +70,7 @@ def regressors(sloping, pool) -> Regressors:
 
 
 def regressors_of(dataset: RigDataset, effects, pool) -> Regressors:
+    dataset = dataclasses.replace(dataset, shared=shared_model(effects))
     linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
     return Regressors.of(dataset, linearized, effects, pool)
 
@@ -141,14 +138,17 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(regressors, pool):
     assert missed(slope) < UNSEEN < 10 * UNSEEN < missed(gain)
 
 
-def test_two_forms_of_one_effect_are_no_pair(pool):
+def test_two_forms_of_one_effect_are_no_pair(pool, monkeypatch):
     """The verdict would name one effect, and its numbers stand twice."""
+    forms = (SpeedRipple, SpeedHarmonics)
     dataset = dataset_with({"name": "drawbar", "force": 4.0})
-    forms = [SpeedRipple, effect_class("speed_harmonics")]
-    assert screen_effects(dataset, forms, pool, settings=FEW_STEPS).pairs == ()
-    with_another = screen_effects(dataset, [*forms, SurfaceSlope], pool, settings=FEW_STEPS).pairs
-    assert with_another
-    assert all("surface_slope" in each.names for each in with_another)
+    regressors = regressors_of(dataset, (*forms, SurfaceSlope), pool)
+    alone = [refined(regressors, each, 1, pool) for each in (*forms, SurfaceSlope)]
+    singles = sorted(alone, key=lambda each: -each.score)
+    # Which pairs are tried is asked, not what becomes of them.
+    monkeypatch.setattr(set_screening, "race", lambda regressors, starts, *_: list(starts))
+    pairs = {frozenset(each.names) for each in refine_sets(regressors, singles, singles, pool)}
+    assert pairs == {frozenset((form.about.name, "surface_slope")) for form in forms}
 
 
 def test_a_pair_starts_with_what_straight_lines_give_to_both(regressors, pool):
@@ -200,7 +200,7 @@ def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
         return dataclasses.replace(unseen, residual=[np.full_like(first, np.nan), *others])
 
     monkeypatch.setattr("diagnose.pipeline.predict_held_out", lost)
-    found = diagnose(sloping, (SurfaceSlope, TravelGain))
+    found = diagnose(sloping, CATALOGUE)
     assert "surface_slope" not in found.weights
     assert all(np.isfinite(gap.after) for gap in found.gap.values())
 
@@ -213,7 +213,7 @@ def test_nothing_added_is_none():
 
 def test_one_run_says_what_cannot_be_concluded(sloping):
     alone = RigDataset.of([sloping.runs[0]])
-    found = diagnose(alone, (SurfaceSlope, TravelGain))
+    found = diagnose(alone, CATALOGUE)
     assert any("One run only" in note for note in found.notes)
     assert any("No run was repeated" in note for note in found.notes)
 

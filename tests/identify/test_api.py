@@ -68,6 +68,13 @@ def test_zeta_over_the_run_is_fitted_in_one_call(runs, model):
         going = found.identified & (found.time >= 1.0)
         assert going.any()
         assert (np.abs(found.value - true) < 4 * found.error)[going].all()
+        # It is reported like any fit.
+        run = path.runs[index]
+        assert run.status == "converged"
+        assert run.rmse()["z"] < run.rmse(fitted=False)["z"]
+        assert path.document()["runs"][index]["zeta_path"]["value"] == found.value.tolist()
+        knots = run.setup.terrain.zeta
+        np.testing.assert_allclose(knots.value, found.at(np.array(knots.time)), rtol=ROUNDING)
         steady = phases.runs[index].values["terrain.zeta.steady"]
         assert phases.runs[index].name == name
         assert abs(steady.value - true) < 4 * steady.error

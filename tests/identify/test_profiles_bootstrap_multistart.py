@@ -12,10 +12,10 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.runlog.hdf5.api import read_result, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA, read_model
+from drftjax.setups.setup_toml import setup_toml
 from drftjax.setups.terrain_setup import ZetaKnots
 from identify.design.required_speed import _error, add_required_speeds, required_speed
 from identify.fit_constant import MODEL_ERROR, fit
-from identify.fit_path import fit_paths
 from identify.parameters.parameter import own, shared
 from identify.parameters.phase_zeta import PhaseZeta, phases_of, with_phases, zeta_phases
 from identify.solver.batched_levenberg_marquardt import BatchedLevenbergMarquardt
@@ -27,7 +27,7 @@ from identify.uncertainty.bootstrap import (
     resample_runs,
     simulated_noise,
 )
-from tests.helpers.synthetic_runs import NOISE, SLOW, coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import BELIEVED_ZETA, NOISE, SLOW, coarse, recorded, setup_of
 from tests.studies.coverage import LAMBDA, ZETA, coverage
 
 # Two-sided 90 % of a normal distribution, in standard errors; of three such values one lies farther
@@ -274,18 +274,6 @@ def test_a_phase_that_no_run_has_is_refused(runs):
     assert not isinstance(runs[0].trial.simulator.terrain.zeta, PhaseZeta)
 
 
-def test_zeta_path_is_reported_like_a_fit(runs):
-    result = fit_paths(runs[:1])
-    (run,) = result.runs
-    assert run.status == "converged"
-    assert run.rmse()["z"] < run.rmse(fitted=False)["z"]
-    told = run.path.identified
-    assert np.all(np.abs(run.path.value - 0.75)[told] < FAR * run.path.error[told])
-    assert result.document()["runs"][0]["zeta_path"]["value"] == run.path.value.tolist()
-    zeta = run.setup.terrain.zeta
-    np.testing.assert_allclose(zeta.value, run.path.at(np.array(zeta.time)), rtol=ROUNDING)
-
-
 def test_a_start_that_rolls_is_found():
     """Recording begins while the wheel turns; at the wrong speed it slips for a moment more."""
     setup = setup_of(([0.0, 0.6], [0.5, 0.5]), 0.75)
@@ -380,8 +368,28 @@ def log(tmp_path_factory):
     return path
 
 
-def test_command_profiles_and_draws(drft, log, tmp_path):
-    options = ["--own", "zeta", "--starts", "3", "--profile", "zeta", "--bootstrap", "50"]
+@pytest.fixture(scope="session")
+def model(tmp_path_factory):
+    """The rig's set-up, with coarse plates as all fits here have them."""
+    path, setup = tmp_path_factory.mktemp("model") / "model.toml", setup_of(SLOW)
+    setup.terrain.zeta = BELIEVED_ZETA
+    path.write_text(setup_toml(setup))
+    return path
+
+
+def test_command_profiles_and_draws(drft, log, model, tmp_path):
+    options = [
+        "--model",
+        model,
+        "--own",
+        "zeta",
+        "--starts",
+        "3",
+        "--profile",
+        "zeta",
+        "--bootstrap",
+        "50",
+    ]
     answer = drft("fit", log, *options, "-o", tmp_path / "fit")
     assert answer.code == 0, answer
     for said in (
@@ -399,9 +407,9 @@ def test_command_profiles_and_draws(drft, log, tmp_path):
 
 
 @pytest.mark.parametrize("way", ["phases", "path"])
-def test_command_fits_zeta_over_time(drft, log, tmp_path, way):
-    share = ["--own", "zeta"] if way == "phases" else []
-    answer = drft("fit", log, "--zeta", way, *share, "-o", tmp_path / "fit")
+def test_command_fits_zeta_over_time(drft, log, model, tmp_path, way):
+    options = ["--model", model, *(["--own", "zeta"] if way == "phases" else [])]
+    answer = drft("fit", log, "--zeta", way, *options, "-o", tmp_path / "fit")
     assert answer.code == 0, answer
     for ending in (".json", ".h5"):
         zeta = read_model(tmp_path / f"fit{ending}", "run").terrain.zeta
