@@ -7,6 +7,7 @@ itself, and one that is fixed in space or to the wheel does once it is mirrored 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -206,14 +207,16 @@ def test_a_drive_that_turns_back_crosses_twice_its_play():
 
 def pulls(effect, places: Sequence[float], omega: Callable[[int], float]) -> np.ndarray:
     """What a load pulls along x at places that the axle comes by one after another [N]."""
-    nought, memory, felt = jnp.zeros(()), effect.begin(jnp.zeros(2)), []
-    for number, x in enumerate(places):
-        position, turns = jnp.asarray([x, 0.0]), jnp.asarray(omega(number))
-        radius, dt = jnp.asarray(0.15), jnp.asarray(0.01)
+    nought, radius, dt = jnp.zeros(()), jnp.asarray(0.15), jnp.asarray(0.01)
+
+    def one(memory, at):
+        position, turns = jnp.stack([at[0], nought]), at[1]
         moment = StepContext(nought, dt, position, jnp.zeros(2), nought, turns, turns, radius)
-        felt.append(effect.load(position, jnp.zeros(2), moment, memory)[0])
-        memory = effect.advance(memory, moment)
-    return np.asarray(felt)
+        felt = effect.load(position, jnp.zeros(2), moment, memory)[0]
+        return effect.advance(memory, moment), felt
+
+    given = jnp.asarray([[x, omega(number)] for number, x in enumerate(places)])
+    return np.asarray(jax.lax.scan(one, effect.begin(jnp.zeros(2)), given)[1])
 
 
 THERE = np.linspace(0, 0.6, 401)

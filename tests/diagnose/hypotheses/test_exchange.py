@@ -11,7 +11,7 @@ from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import best_of_each
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
-from diagnose.model.augmented_model import AugmentedModel
+from diagnose.model.augmented_model import AugmentedModel, shared_model
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
@@ -26,9 +26,10 @@ TRUTH = (
 
 @pytest.fixture(scope="module")
 def regressors(pool) -> Regressors:
-    dataset = dataset_with(*TRUTH)
+    effects = [*map(effect_class, CANDIDATES)]
+    dataset = replace(dataset_with(*TRUTH), shared=shared_model(effects))
     linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
-    return Regressors.of(dataset, linearized, [*map(effect_class, CANDIDATES)], pool)
+    return Regressors.of(dataset, linearized, effects, pool)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Columns of effects along linearised runs, against the change of whole simulated runs."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from diagnose.linear.input_sensitivity import READINGS, effect_sensitivity, prop
 from diagnose.linear.linearized_runs import linearize_run
 from diagnose.model.augmented_model import AugmentedModel
 from drftjax.effects.catalogue import effect_class, field_metadata, shapes
+from drftjax.recorded.prepared_run import PreparedRun
 from tests.helpers.synthetic_runs import BELIEVED_ZETA, coarse, recorded, setup_of
 
 # A step is differentiated once a node only, and plates cross corners in between: share of a
@@ -27,10 +29,29 @@ ZETA = 0.75
 LOG_ZETA = float(np.log(ZETA / BELIEVED_ZETA))
 
 
+# Effects, and the channels of a free carriage that they show in.
+SHOWN = {
+    "surface_slope": ("x", "z"),
+    "surface_incline": ("x", "z"),
+    "surface_profile": ("x", "z"),
+    "surface_undulation": ("x", "z"),
+    "height_decrease": ("x", "z"),
+    "height_decrease_arc": ("x", "z"),
+    "travel_delay": ("x",),
+    "sinkage_delay": ("z",),
+}
+
+
+def of_one_program(run: PreparedRun, *names: str) -> RigDataset:
+    """The run, of which one program simulates each of these effects."""
+    shared = AugmentedModel(tuple(map(effect_class, names)))
+    return replace(RigDataset.of([run]), shared=shared)
+
+
 @cache
 def free() -> RigDataset:
     setup = setup_of(([0.0, 0.25, 1.25, 3.5, 4.5], [0.0, 0.0, 0.8, 0.8, 0.16]), ZETA)
-    return RigDataset.of([coarse("free", recorded(setup))])
+    return of_one_program(coarse("free", recorded(setup)), *SHOWN)
 
 
 @cache
@@ -38,7 +59,8 @@ def driven() -> RigDataset:
     profile = ([0.0, 0.25, 1.25, 3.5], [0.0, 0.0, 1.0, 1.0])
     setup = setup_of(profile, ZETA, vx=[0.0, 0.0, 0.1, 0.1])
     run = recorded(setup, channels=("z", "fx", "fz", "torque"), force_noise=0.1)
-    return RigDataset.of([coarse("driven", run)])
+    names = ("surface_slope", "surface_incline", "channel_delay")
+    return of_one_program(coarse("driven", run), *names)
 
 
 @cache
@@ -75,19 +97,7 @@ def change(runs: RigDataset, name: str, index: int, share: float = CHANGE) -> di
     return dict(zip(runs.channels, (changed - plain) / (share * scale), strict=True))
 
 
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("surface_slope", ("x", "z")),
-        ("surface_incline", ("x", "z")),
-        ("surface_profile", ("x", "z")),
-        ("surface_undulation", ("x", "z")),
-        ("height_decrease", ("x", "z")),
-        ("height_decrease_arc", ("x", "z")),
-        ("travel_delay", ("x",)),
-        ("sinkage_delay", ("z",)),
-    ],
-)
+@pytest.mark.parametrize(("name", "shown"), SHOWN.items())
 def test_the_column_of_a_strength_is_the_change_of_a_whole_run(name, shown):
     about = field_metadata(effect_class(name))
     for index in range(sum("typical" in each for each in about.values())):
