@@ -50,6 +50,8 @@ omega_unit = "deg/s"
 step = 2e-3
 """
 
+BACKWARD = PROFILE.replace("30, 30", "-30, -30")
+
 RIG = """
 [physics]
 step = 1e-3
@@ -132,35 +134,35 @@ def bench(tmp_path_factory) -> Iterator[Bench]:
     made.rig.wait()
 
 
+def require_backward(log: RunLog) -> None:
+    """The wheel turned backward, and sank as one that turns forward does, to 29 mm."""
+    assert log.end_reason == "completed"
+    assert log.measured.x[-1] == pytest.approx(-WAY, rel=LATE)
+    assert 0.01 < -log.measured.z.min() < 0.03
+    assert min(log.command.omega) == pytest.approx(-np.deg2rad(30))
+
+
 def test_run_is_completed_recorded_and_reported(bench, tmp_path):
-    run = bench.running(tmp_path, "--tuner", "kalman")
+    run = bench.running(tmp_path, "--tuner", "kalman", profile=BACKWARD)
     assert bench.ends(run) == 0, bench.said()
     assert "Completed." in bench.said()
     log = bench.log()
-    assert log.end_reason == "completed"
+    require_backward(log)
     assert log.source == "virtual rig"
     assert log.title == "a short profile"
     assert log.online is not None
     assert log.online.tick == TICK
     assert len(log.online.time) >= 25
     assert abs(log.measured.z[-1] - log.online.z_sim[-1]) < CLOSE
-    assert log.measured.x[-1] == pytest.approx(WAY, rel=LATE)
     assert log.setup.sinkage_static == pytest.approx(STANDS, abs=COARSE)
     bench.rig_says("IDLE (bye")
     assert survey_run(tmp_path / "run.h5")[1] == []
 
 
-@pytest.mark.parametrize("mode", ["hils", "free"])
-def test_wheel_turns_backward(bench, tmp_path, mode):
-    backward = PROFILE.replace("30, 30", "-30, -30")
-    run = bench.running(tmp_path, "--mode", mode, profile=backward)
+def test_free_wheel_turns_backward(bench, tmp_path):
+    run = bench.running(tmp_path, "--mode", "free", profile=BACKWARD)
     assert bench.ends(run) == 0, bench.said()
-    log = bench.log()
-    assert log.end_reason == "completed"
-    assert log.measured.x[-1] == pytest.approx(-WAY, rel=LATE)
-    # It sinks as one that turns forward does, to 29 mm.
-    assert 0.01 < -log.measured.z.min() < 0.03
-    assert min(log.command.omega) == pytest.approx(-np.deg2rad(30))
+    require_backward(bench.log())
 
 
 def test_ctrl_c_ramps_down_and_closes_the_file(bench, tmp_path):
