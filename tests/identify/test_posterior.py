@@ -15,6 +15,8 @@ import xarray
 import drftjax
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import write_run
+from drftjax.setups.setup import read_setup
+from drftjax.setups.setup_toml import setup_toml
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
 from identify.solver.problem import normal_equations
@@ -27,7 +29,7 @@ from identify.uncertainty.markov_chains import (
 )
 from identify.uncertainty.posterior import sample_posterior
 from identify.uncertainty.posterior_density import PosteriorDensity
-from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import BELIEVED_ZETA, SLOW, coarse, recorded, setup_of
 
 ZETA = "terrain.zeta"
 # A mean of n effective samples is known to 1 / sqrt(n) standard deviations, and a standard
@@ -39,6 +41,8 @@ END = 2 * MEAN
 STEP, SLOPE = 0.05, 0.02
 
 SHORT = dataclasses.replace(POSTERIOR_SETTINGS, warmup=40, draws=150)
+# So few that nothing has settled.
+FEW = PosteriorSettings(warmup=20, draws=20)
 
 
 class Linear(eqx.Module):
@@ -176,7 +180,7 @@ def test_a_prior_tighter_than_the_runs_is_followed(runs, alone):
     value = alone.runs[0].values[ZETA]
     mean, error = value.value + 3 * value.error, value.error / 200
     result = fit(runs[:1], [own("zeta", prior=(mean, error))])
-    white = dataclasses.replace(SHORT, adjusted=False, draws=80)
+    white = dataclasses.replace(SHORT, adjusted=False)
     posterior = sample_posterior(result.estimate, white)
     # The runs' white residuals alone have a far smaller error than the standard one.
     assert abs(posterior.mean[0] - mean) < 0.1 * abs(mean - value.value)
@@ -200,9 +204,9 @@ def test_values_that_nothing_holds_have_no_posterior(runs):
         result.sample_posterior(SHORT)
 
 
-def test_few_draws_are_called_too_few(result):
-    posterior = sample_posterior(result.estimate, PosteriorSettings(warmup=20, draws=20))
-    assert posterior.draws.shape == (4, 20, 3)
+def test_few_draws_are_called_too_few(alone):
+    posterior = sample_posterior(alone.estimate, FEW)
+    assert posterior.draws.shape == (4, 20, 1)
     told = [each for each in posterior.sentences() if "have not settled" in each]
     assert len(told) == 1
     assert "effective samples at least 100" in told[0]
@@ -275,17 +279,25 @@ def log(tmp_path_factory):
     return path
 
 
-def test_command_writes_draws_once_and_again(drft, log, tmp_path, monkeypatch):
-    few = dataclasses.replace(SHORT, warmup=20, draws=60)
-    monkeypatch.setattr(sample_posterior, "__defaults__", (few, None))
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """The rig's set-up, with coarse plates as all fits here have them."""
+    path, setup = tmp_path_factory.mktemp("model") / "model.toml", setup_of(SLOW)
+    setup.terrain.zeta = BELIEVED_ZETA
+    path.write_text(setup_toml(setup))
+    return path
+
+
+def test_command_writes_draws_once_and_again(drft, log, model, tmp_path, monkeypatch):
+    monkeypatch.setattr(sample_posterior, "__defaults__", (FEW, None))
     stem = tmp_path / "new" / "fit"
     for _ in range(2):
-        answer = drft("fit", log, "--own", "zeta", "--posterior", "-o", stem)
+        answer = drft("fit", log, "--model", model, "--own", "zeta", "--posterior", "-o", stem)
         assert answer.code == 0, answer
         assert answer.err == ""
-    assert "4 chains of 60 draws" in answer.out
+    assert "4 chains of 20 draws" in answer.out
     assert "fit.nc" in answer.out.splitlines()[-1]
-    assert arviz.from_netcdf(str(stem.with_suffix(".nc"))).posterior.sizes["draw"] == 60
+    assert arviz.from_netcdf(str(stem.with_suffix(".nc"))).posterior.sizes["draw"] == 20
 
 
 def test_a_netcdf_file_of_others_is_kept(drft, log, tmp_path):
@@ -315,8 +327,7 @@ def test_without_the_extra_its_installation_is_named(drft, log, monkeypatch):
     assert refusal == "a posterior needs BlackJAX: pip install 'drftjax[posterior]'"
 
 
-def test_python_call_draws_when_asked(log):
-    few = PosteriorSettings(warmup=20, draws=20)
-    result = drftjax.fit([log], parameters=[own("zeta")], posterior=few)
+def test_python_call_draws_when_asked(log, model):
+    result = drftjax.fit([log], read_setup(model), [own("zeta")], posterior=FEW)
     assert result.posterior is not None
     assert result.posterior.draws.shape == (4, 20, 1)

@@ -22,6 +22,8 @@ from tests.helpers.drft_command import Drft
 
 # Sums and quotients of some doubles.
 ROUNDING = 1e-12
+# A set-up's angles are written in degrees, and read again.
+WRITTEN = 1e-9
 # SALib resamples a thousand times: its intervals scatter by some percent.
 RESAMPLED = 0.15
 # A drift of the reading passes the sensors after it, which are late by up to 0.1 s of 3 s each.
@@ -29,7 +31,7 @@ LATE = 0.1
 # Readings are late as above, and travel differs with the other numbers.
 OTHERS = 0.3
 
-FEW = MorrisSettings(trajectories=3)
+FEW = MorrisSettings(trajectories=2)
 SEED = 5
 
 
@@ -109,7 +111,7 @@ def test_failed_points_are_counted_and_leave_the_others_right():
 
     none = screen_function(lambda points: np.full((3, 1, 1), np.nan), 2, FEW, SEED)
     assert np.isnan(none.mean_size).all()
-    assert none.failed == none.simulations == 9
+    assert none.failed == none.simulations == 6
 
 
 def test_a_drift_of_the_scale_changes_z_by_its_ramp_and_nothing_else(screened):
@@ -135,9 +137,7 @@ def test_zeta_matters_for_sinkage_and_a_hair_of_bulk_density_does_not(screened):
     assert screened.effects.failed == 0
 
 
-def test_one_seed_gives_one_result_and_another_seed_another(screened):
-    again = screen(short_run(), settings=FEW, seed=SEED)
-    np.testing.assert_array_equal(again.effects.mean_size, screened.effects.mean_size)
+def test_another_seed_gives_another_result(screened):
     other = screen(short_run(), settings=FEW, seed=SEED + 1)
     assert not np.array_equal(other.effects.mean_size, screened.effects.mean_size)
 
@@ -189,7 +189,7 @@ def test_rows_count_until_wheel_and_carriage_stand():
 
 
 def test_a_bed_that_bears_no_wheel_is_refused():
-    with pytest.raises(InputError, match=r"of 228 simulations diverge or sink past the wheel's"):
+    with pytest.raises(InputError, match=r"of 152 simulations diverge or sink past the wheel's"):
         screen(short_run(), ranges={"zeta": (0.001, 0.002)}, settings=FEW, seed=SEED)
 
 
@@ -234,18 +234,24 @@ def test_a_range_in_another_form_is_refused(text):
     assert parse_ranges(["a.b=-1e-3..2"]) == {"a.b": (-1e-3, 2.0)}
 
 
-def test_command_writes_numbers_and_figure(tmp_path: Path, monkeypatch, capsys, screened):
+def test_command_writes_numbers_and_figure_the_same_for_one_seed(
+    tmp_path: Path, monkeypatch, capsys, screened
+):
     drft = Drft(monkeypatch, capsys)
     given = tmp_path / "short.toml"
     given.write_text(setup_toml(short_run()))
-    options = ("--screen", "--trajectories", 3, "--seed", SEED, "-o", tmp_path / "out" / "screen")
+    options = ("--screen", "--trajectories", 2, "--seed", SEED, "-o", tmp_path / "out" / "screen")
     picture = tmp_path / "screen.pdf"
     answer = drft("design", given, *options, "--plot", picture)
     assert answer.code == 0, answer.err
     assert "can matter here" in answer.out
     document = json.loads((tmp_path / "out" / "screen.json").read_text())
-    zeta = next(each for each in document["numbers"] if each["name"] == "zeta")
-    assert zeta["changes"]["z"]["mean_size"] == pytest.approx(change(screened, "zeta", "z"))
+    sizes = {
+        each["name"]: [each["changes"][channel]["mean_size"] for channel in screened.channels]
+        for each in document["numbers"]
+    }
+    for each, expected in zip(screened.ranges, screened.effects.mean_size, strict=True):
+        assert sizes[each.quantity.label] == pytest.approx(expected.tolist(), rel=WRITTEN)
     assert (tmp_path / "out" / "screen.png").read_bytes()[:4] == b"\x89PNG"
     assert picture.read_bytes()[:4] == b"%PDF"
 

@@ -10,6 +10,8 @@ from diagnose.dataset import RigDataset
 from diagnose.gap.discretization_error import beside_plates, of_positions
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.pipeline import diagnose
+from diagnose.settings import DiagnosisSettings
+from diagnose.unknown.settings import UnknownEffectSettings
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.prepared_run import PreparedRun
 from tests.helpers.rig_datasets import dataset_with
@@ -80,9 +82,12 @@ def test_what_plates_change_in_x_and_z_is_nothing_for_unknown_to_explain(monkeyp
     """A pull that no offered effect explains, and plates that would change as much as it does."""
     dataset = dataset_with({"name": "drawbar", "force": 6.0})
     effects = [effect_class("measurement_filter")]
+    # What the unknown may be is not asked, and so searched for little.
+    unknown = UnknownEffectSettings(curves=((6, 10.0),), max_variables=1, refinement_steps=1)
+    settings = DiagnosisSettings(unknown_effect=unknown)
 
     def weight_of_unknown() -> float:
-        return diagnose(dataset, effects).weights["unknown"]
+        return diagnose(dataset, effects, settings=settings).weights["unknown"]
 
     assert weight_of_unknown() > SURE
     monkeypatch.setattr("diagnose.pipeline.changes_with_finer_plates", as_much_as_it_misses)

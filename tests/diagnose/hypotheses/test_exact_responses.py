@@ -12,7 +12,7 @@ from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.set_screening import joined_from_null
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import SLOW_EFFECTS, Regressors
-from diagnose.model.augmented_model import AugmentedModel
+from diagnose.model.augmented_model import AugmentedModel, shared_model
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
@@ -31,9 +31,9 @@ STEP = 1e-3
 
 @pytest.fixture(scope="module")
 def regressors(pool) -> Regressors:
-    dataset = dataset_with(*TRUTH)
-    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
     effects = [*map(effect_class, (*SET, *FURTHER))]
+    dataset = replace(dataset_with(*TRUTH), shared=shared_model(effects))
+    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
     return Regressors.of(dataset, linearized, effects, pool)
 
 
