@@ -67,8 +67,10 @@ def dataset() -> RigDataset:
         setup = setup_of(profile, TRUE_ZETA)
         setup.integrator.step = STEP
         runs.append(coarse(f"run {speed:g}", recorded(setup), step=STEP))
+    # One program simulates each of these.
+    shared = AugmentedModel((SpeedGain, SurfaceSlope, Loosening))
     with RunPool() as pool:
-        return without_step_errors(RigDataset.of(runs), pool)
+        return replace(without_step_errors(RigDataset.of(runs), pool), shared=shared)
 
 
 @cache
