@@ -5,6 +5,7 @@ file itself does not import it.
 """
 
 import gc
+import itertools
 import os
 import sys
 from collections.abc import Iterator
@@ -120,9 +121,18 @@ def drft(monkeypatch, capsys) -> "Drft":
     return Drft(monkeypatch, capsys)
 
 
+# So many files' compiled programs a worker holds at most, some 60 MB each; a longest file's alone.
+FILES_HELD = 3
+_files = itertools.count(1)
+
+
 @pytest.fixture(scope="module", autouse=True)
-def compiled_programs_go_with_their_module():
-    """Free the compiled programs of a module, or a few workers would fill the memory."""
+def compiled_programs_go_with_their_modules(request):
+    """Free the compiled programs of a few files, or a few workers would fill the memory.
+
+    Not of each: to trace and load the hundred small ones that all of them ask for takes a second.
+    """
     yield
-    if "jax" in sys.modules:
+    full = next(_files) % FILES_HELD == 0 or _named(request.path) in LONGEST
+    if full and "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
