@@ -17,7 +17,6 @@ import numpy as np
 
 from diagnose.change.differences.gram import Differences, SharedClock
 from diagnose.change.hypothesis import ChangeHypothesis, ChangeProblem
-from diagnose.linear.linear_fit import block_names
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,8 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
     differences = problem.differences
     deviation = differences.centring @ problem.deviation(chosen)
     without = problem.residual_at_common_zeta()
-    factors = _law_factors(problem, chosen)
+    by_channel = problem.law_factors(chosen)
+    factors = np.array([[by_channel[each] - 1] for each in differences.dataset.channels])
     changed = problem.change_so_far(chosen)
     left = [r + factors * change for r, change in zip(chosen.residual, changed, strict=True)]
     response = [(1 + factors) * z for z in chosen.by_zeta]
@@ -79,14 +79,6 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
             )
         )
     return found
-
-
-def _law_factors(problem: ChangeProblem, chosen: ChangeHypothesis) -> np.ndarray:
-    """Factors on what changes in each channel, less one [-], shape (channels, 1)."""
-    blocks = block_names(problem.differences.dataset.channels)
-    factors = chosen.fit.law_factors
-    found = {channel: each for (channel, _), each in zip(blocks, factors, strict=True)}
-    return np.array([[found[channel]] for channel in problem.differences.dataset.channels])
 
 
 def _powers(differences: Differences, residual: Sequence[np.ndarray]) -> np.ndarray:

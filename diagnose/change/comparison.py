@@ -1,6 +1,6 @@
 """The steps of a comparison: match conditions, linearise, screen, weigh, measure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +87,8 @@ class ChangeSettings:
         error: Standard errors.
         relabelling: Test without a model of noise.
         min_conditions: With fewer matched conditions a note says how little they tell.
+        told_law_factor: A note tells that a channel goes this much more or less far with a change
+            than in the base [-].
     """
 
     dataset: DatasetSettings = DEFAULT_DATASET
@@ -98,6 +100,7 @@ class ChangeSettings:
     error: ChangeErrorSettings = DEFAULT_CHANGE_ERROR
     relabelling: RelabellingSettings = DEFAULT_RELABELLING
     min_conditions: int = 3
+    told_law_factor: float = 0.2
 
 
 DEFAULT_CHANGE_SETTINGS = ChangeSettings()
@@ -148,7 +151,10 @@ def compare_runs(
             relabelling=relabelling_test(
                 problem.differences, problem.residual_at_common_zeta(), settings.relabelling
             ),
-            notes=_notes(runs, kept, len(conditions), chosen, settings),
+            notes=[
+                *_notes(runs, kept, len(conditions), chosen, settings),
+                *([] if nothing else _law_notes(problem.law_factors(chosen), settings)),
+            ],
             problem=problem,
             chosen=chosen,
         )
@@ -244,6 +250,15 @@ def _parameters(
         whole = float(np.hypot(free.scale * width, error.law_share * value))
         fields[free.field] = ParameterEstimate(sign * value, whole, unit)
     return found
+
+
+def _law_notes(factors: Mapping[str, float], settings: ChangeSettings) -> list[str]:
+    return [
+        f"In {channel} what changed does {factor:.2f} times as much as in the base: the sand "
+        "follows another law."
+        for channel, factor in factors.items()
+        if abs(factor - 1) > settings.told_law_factor
+    ]
 
 
 def _notes(

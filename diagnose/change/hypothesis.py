@@ -10,7 +10,7 @@ from diagnose.change.differences.fit import CoefficientPrior, DifferenceFit, fit
 from diagnose.change.differences.gram import DifferenceGram, Differences
 from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 from diagnose.hypotheses.hypothesis import column_mixes, mix_columns
-from diagnose.linear.linear_fit import floor_inflation
+from diagnose.linear.linear_fit import block_names, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
@@ -142,6 +142,12 @@ class ChangeProblem:
         away = self.common - self.regressors.log_zeta
         parts = zip(self.regressors.residual, self.by_zeta, away, strict=True)
         return [residual + slope * change for residual, slope, change in parts]
+
+    def law_factors(self, here: ChangeHypothesis) -> dict[str, float]:
+        """By channel, how many times as far as in the base it goes with what changes [-]."""
+        blocks = block_names(self.differences.dataset.channels)
+        factors = zip(blocks, here.fit.law_factors, strict=True)
+        return {channel: 1.0 + float(each) for (channel, _), each in factors}
 
     def deviation(self, here: ChangeHypothesis) -> np.ndarray:
         """Log zeta of each run beyond its condition's and beyond a common change [-]."""

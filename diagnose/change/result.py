@@ -123,6 +123,7 @@ class ChangeDiagnosis:
                     "least_p": self.relabelling.least_p,
                 },
                 "zeta_scatter": self.chosen.fit.scatter,
+                "law_factors": self.problem.law_factors(self.chosen),
                 "difference": {
                     each.channel: {
                         "rms": each.rms,
