@@ -86,6 +86,8 @@ def follow_shared_law(
             lower=np.array(least) - at[strengths],
             linear_error=0.0,
         )
+        if not np.isfinite(fit.coefficients).all():
+            break  # A run's wheel falls at this law, so that it has no derivative.
         at[strengths] += np.clip(fit.coefficients, -settings.max_step, settings.max_step)
         runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
     return RigDataset.of(runs, dataset.settings), model.build(at)
