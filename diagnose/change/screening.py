@@ -110,10 +110,12 @@ def screen_change(
     )
     refined.sort(key=lambda each: -_ranking(each, settings))
     going_on = refined[: settings.max_continued]
-    zeta, *going_on = pool.map_outer(
-        lambda each: finish_change(problem, each, pool, settings), (zeta, *going_on)
+    none, zeta, *going_on = pool.map_outer(
+        lambda each: finish_change(problem, each, pool, settings), (none, zeta, *going_on)
     )
-    others = *refined[settings.max_continued :], *effects[len(leading) :]
+    # A linear fit that is not worth a simulation gains nothing over no change, which has one.
+    unchanged = [replace(each, fit=none.fit) for each in effects[len(leading) :]]
+    others = *refined[settings.max_continued :], *unchanged
     ranked = sorted((*going_on, *others), key=lambda each: -_ranking(each, settings))
     worth = matrices.worth(problem.settings)
     return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, worth)

@@ -127,6 +127,10 @@ def test_nothing_changed_where_only_the_sand_scatters(before):
     assert "Nothing changed" in found.summary()
     # The belief and the runs agree on about 1 %.
     assert 0.005 < found.chosen.fit.scatter < 0.02
+    # An effect of no strength does what no change does, and costs a number.
+    effects = [weight for name, weight in found.weights.items() if name in EFFECTS]
+    assert effects
+    assert max(effects) < 0.5 * found.weights["none"]
 
 
 def test_sand_of_another_strength_is_zeta(before):
