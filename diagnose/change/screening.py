@@ -113,7 +113,7 @@ def screen_change(
     none, zeta, *going_on = pool.map_outer(
         lambda each: finish_change(problem, each, pool, settings), (none, zeta, *going_on)
     )
-    # A linear fit that is not worth a simulation gains nothing over no change, which has one.
+    # What is not worth a simulation is taken to do no better than no change, which has one.
     unchanged = [replace(each, fit=none.fit) for each in effects[len(leading) :]]
     others = *refined[settings.max_continued :], *unchanged
     ranked = sorted((*going_on, *others), key=lambda each: -_ranking(each, settings))
