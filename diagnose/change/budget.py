@@ -49,15 +49,13 @@ def difference_budget(problem: ChangeProblem, chosen: ChangeHypothesis) -> list[
     """
     differences = problem.differences
     deviation = differences.centring @ problem.deviation(chosen)
-    without = problem.residual_at_common_zeta()
+    without, left = problem.residual_without(None), problem.residual_by_law(chosen)
     by_channel = problem.law_factors(chosen)
-    factors = np.array([[by_channel[each] - 1] for each in differences.dataset.channels])
-    changed = problem.change_so_far(chosen)
-    left = [r + factors * change for r, change in zip(chosen.residual, changed, strict=True)]
-    response = [(1 + factors) * z for z in chosen.by_zeta]
-    steady = [r - z * d for r, z, d in zip(left, response, deviation, strict=True)]
-    response = [(1 + factors) * z for z in problem.by_zeta]
-    scattered = [r + z * d for r, z, d in zip(without, response, deviation, strict=True)]
+    factors = np.array([[by_channel[each]] for each in differences.dataset.channels])
+    scatter = zip(left, chosen.by_zeta, deviation, strict=True)
+    steady = [r - factors * z * d for r, z, d in scatter]
+    scatter = zip(without, problem.by_zeta, deviation, strict=True)
+    scattered = [r + factors * z * d for r, z, d in scatter]
     if not len(chosen.coordinates):
         # No change acts: all is zeta's scatter, what is left, and noise.
         steady, scattered = without, left

@@ -87,8 +87,8 @@ class ChangeSettings:
         error: Standard errors.
         relabelling: Test without a model of noise.
         min_conditions: With fewer matched conditions a note says how little they tell.
-        told_law_factor: A note tells that a channel goes this much more or less far with a change
-            than in the base [-].
+        told_law_factor: A note tells that a change does this much more or less in a channel than it
+            does in the base [-].
     """
 
     dataset: DatasetSettings = DEFAULT_DATASET
@@ -149,11 +149,11 @@ def compare_runs(
             parameters={} if nothing else _parameters(problem, chosen, pool, settings),
             budget=difference_budget(problem, chosen),
             relabelling=relabelling_test(
-                problem.differences, problem.residual_at_common_zeta(), settings.relabelling
+                problem.differences, problem.residual_without(None), settings.relabelling
             ),
             notes=[
                 *_notes(runs, kept, len(conditions), chosen, settings),
-                *([] if nothing else _law_notes(problem.law_factors(chosen), settings)),
+                *([] if nothing else law_notes(problem.law_factors(chosen), settings)),
             ],
             problem=problem,
             chosen=chosen,
@@ -252,10 +252,18 @@ def _parameters(
     return found
 
 
-def _law_notes(factors: Mapping[str, float], settings: ChangeSettings) -> list[str]:
+def law_notes(
+    factors: Mapping[str, float], settings: ChangeSettings = DEFAULT_CHANGE_SETTINGS
+) -> list[str]:
+    """Sentences on the channels in which another law shows.
+
+    Args:
+        factors: By channel, how much a change does over what it does in the base [-].
+        settings: For the least difference that is told.
+    """
     return [
-        f"In {channel} what changed does {factor:.2f} times as much as in the base: the sand "
-        "follows another law."
+        f"In {channel} the change does {factor:.2f} times what it would on sand of the law that "
+        "was fitted to the runs before: the sand's own is another."
         for channel, factor in factors.items()
         if abs(factor - 1) > settings.told_law_factor
     ]

@@ -69,7 +69,7 @@ def _draw(
     before, after = (
         mean_of(differences, clock, condition.now, residual)[place]
         - mean_of(differences, clock, condition.before, residual)[place]
-        for residual in (problem.residual_at_common_zeta(), found.chosen.residual)
+        for residual in (problem.residual_without(None), problem.residual_by_law(found.chosen))
     )
     step = max(1, len(clock.time) // settings.max_points)
     shown = slice(None, None, step)

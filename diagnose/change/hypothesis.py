@@ -104,14 +104,12 @@ class ChangeProblem:
         differences: The runs.
         regressors: Responses of all runs, as if every effect acted in each.
         law: Effects that the reference model has here, as the runs before follow them.
-        common: Log zeta of each run's condition over its set-up's [-], shape (runs,).
         settings: Numbers of the fits.
     """
 
     differences: Differences
     regressors: Regressors
     law: tuple[AbstractEffect, ...]
-    common: np.ndarray
     settings: DifferenceFitSettings = DEFAULT_DIFFERENCE_FIT
 
     @classmethod
@@ -127,24 +125,25 @@ class ChangeProblem:
         chance = chance_power(differences, regressors, pool, settings)
         has_repeats = bool(differences.within_sides().clocks)
         differences = replace(differences, chance=chance, has_repeats=has_repeats)
-        # The set-ups of before and now may believe in other zetas.
-        believed = regressors.log_reference_zeta
-        common = differences.mean_by_condition(regressors.log_zeta + believed) - believed
-        return cls(differences, regressors, law, common, settings)
+        return cls(differences, regressors, law, settings)
 
     @property
     def by_zeta(self) -> list[np.ndarray]:
         """By run, derivative by its log zeta, shape (channels, samples)."""
         return [each[:, :, 0] for each in self.regressors.columns]
 
-    def residual_at_common_zeta(self) -> list[np.ndarray]:
-        """By run, residual of the reference model at its condition's zeta, by a linear response."""
-        away = self.common - self.regressors.log_zeta
+    def residual_without(self, side: Side | None) -> list[np.ndarray]:
+        """By run, residual of the reference model where nothing changed, shape (channels, samples).
+
+        It is at the zeta of the condition's runs that a change of this side left alone; of no side,
+        at the mean of all. By a linear response.
+        """
+        away = self.deviation_from(side, self.regressors.log_zeta)
         parts = zip(self.regressors.residual, self.by_zeta, away, strict=True)
-        return [residual + slope * change for residual, slope, change in parts]
+        return [residual - slope * change for residual, slope, change in parts]
 
     def law_factors(self, here: ChangeHypothesis) -> dict[str, float]:
-        """By channel, how many times as far as in the base it goes with what changes [-]."""
+        """By channel, how much a change does over what it does in the reference model [-]."""
         blocks = block_names(self.differences.dataset.channels)
         factors = zip(blocks, here.fit.law_factors, strict=True)
         return {channel: 1.0 + float(each) for (channel, _), each in factors}
@@ -205,9 +204,15 @@ class ChangeProblem:
 
         That is beyond the reference model at the zeta of the condition's runs without an effect.
         """
-        away = self.deviation_from(self.changed_side(here), self.regressors.log_zeta)
-        parts = zip(here.residual, self.regressors.residual, self.by_zeta, away, strict=True)
-        return [now - (residual - slope * change) for now, residual, slope, change in parts]
+        without = self.residual_without(self.changed_side(here))
+        return [now - then for now, then in zip(here.residual, without, strict=True)]
+
+    def residual_by_law(self, here: ChangeHypothesis) -> list[np.ndarray]:
+        """By run, what a hypothesis leaves with the law's factors, shape (channels, samples)."""
+        by_channel, channels = self.law_factors(here), self.differences.dataset.channels
+        further = np.array([[by_channel[channel] - 1] for channel in channels])
+        parts = zip(here.residual, self.change_so_far(here), strict=True)
+        return [residual + further * change for residual, change in parts]
 
     def fit_about(
         self, here: ChangeHypothesis, pool: RunPool, floor_share: float = 0.0
@@ -307,17 +312,9 @@ def chance_power(
     nothing = [each[:, :, :0] for each in regressors.columns]
     by_zeta = [each[:, :, 0] for each in regressors.columns]
     matrices = sides.gram(nothing, by_zeta, regressors.residual, pool)
-    log_zeta = regressors.log_zeta + regressors.log_reference_zeta
-    deviation = log_zeta - sides.mean_by_condition(log_zeta)
-    fit = fit_differences(
-        matrices,
-        (),
-        deviation,
-        sides.centring,
-        CoefficientPrior.free(np.zeros(0)),
-        0.0,
-        settings,
-    )
+    deviation = sides.centring @ (regressors.log_zeta + regressors.log_reference_zeta)
+    nowhere = CoefficientPrior.free(np.zeros(0))
+    fit = fit_differences(matrices, (), deviation, sides.centring, nowhere, 0.0, settings)
     floor = settings.model_errors(matrices.blocks) ** 2
     return np.maximum(fit.mean_square - regressors.noise_power - floor, 0)
 

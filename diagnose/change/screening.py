@@ -106,12 +106,12 @@ def screen_change(
         if each.score > max(least, effects[0].score - settings.hopeless_deficit)
     ]
     none, zeta, *refined = pool.map_outer(
-        lambda each: refine_change(problem, each, pool, settings), (none, zeta, *leading)
+        lambda each: _refine(problem, each, pool, settings), (none, zeta, *leading)
     )
     refined.sort(key=lambda each: -_ranking(each, settings))
     going_on = refined[: settings.max_continued]
     none, zeta, *going_on = pool.map_outer(
-        lambda each: finish_change(problem, each, pool, settings), (none, zeta, *going_on)
+        lambda each: _finish(problem, each, pool, settings), (none, zeta, *going_on)
     )
     # What is not worth a simulation is taken to do no better than no change, which has one.
     unchanged = [replace(each, fit=none.fit) for each in effects[len(leading) :]]
@@ -121,11 +121,11 @@ def screen_change(
     return ChangeScreening(none, zeta, tuple(ranked), matrices.blocks, worth)
 
 
-def refine_change(
+def _refine(
     problem: ChangeProblem,
     start: ChangeHypothesis,
     pool: RunPool,
-    settings: ChangeScreeningSettings = DEFAULT_CHANGE_SCREENING,
+    settings: ChangeScreeningSettings,
 ) -> ChangeHypothesis:
     """Refine a hypothesis by simulations, each followed by a linear fit; return the best.
 
@@ -164,11 +164,11 @@ def refine_change(
     return start if best is None else best
 
 
-def finish_change(
+def _finish(
     problem: ChangeProblem,
     here: ChangeHypothesis,
     pool: RunPool,
-    settings: ChangeScreeningSettings = DEFAULT_CHANGE_SCREENING,
+    settings: ChangeScreeningSettings,
 ) -> ChangeHypothesis:
     """Refine a hypothesis with fresh derivatives, round by round, while that gains.
 
@@ -180,7 +180,7 @@ def finish_change(
     """
     for _ in range(settings.max_rounds if here.is_simulated else 0):
         before = here.score
-        here = refine_change(problem, _relinearize(problem, here, pool), pool, settings)
+        here = _refine(problem, _relinearize(problem, here, pool), pool, settings)
         if here.score < before + settings.min_round_gain:
             break
     return here

@@ -15,11 +15,12 @@ from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
 from diagnose.hypotheses.hypothesis import lower_bounds
 from diagnose.linear.linear_fit import fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
-from diagnose.linear.regressors import Regressors
+from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, with_effects
 from diagnose.run_pool import RunPool
 from drftjax.common.errors import InputError
 from drftjax.effects.base import AbstractEffect
+from drftjax.effects.catalogue import shapes
 from drftjax.effects.stress import DepthPower
 from drftjax.effects.terrain import Heap
 from drftjax.recorded.prepared_run import PreparedRun
@@ -69,7 +70,7 @@ def follow_shared_law(
         RunError: where a run cannot be simulated.
     """
     model = AugmentedModel(tuple(each for each in LAW if _is_possible(dataset.runs, each)))
-    at = _at_null(model)
+    at = model.null()
     strengths = np.array([free.scale is not None for free in model.free])
     with_null = RigDataset.of(_with_law(dataset.runs, model, at), dataset.settings)
     runs = without_step_errors(with_null, pool).runs
@@ -80,7 +81,7 @@ def follow_shared_law(
         least = [bound for each in model.effects for bound in lower_bounds(each)]
         fit = fit_linear(
             responses.gram_matrices,
-            _columns_with_shapes(responses, model, at),
+            [column for each in responses.variants if _is_default(each) for column in each.columns],
             prior=np.full(strengths.sum(), settings.width),
             offset=at[strengths],
             lower=np.array(least) - at[strengths],
@@ -91,35 +92,6 @@ def follow_shared_law(
         at[strengths] += np.clip(fit.coefficients, -settings.max_step, settings.max_step)
         runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
     return RigDataset.of(runs, dataset.settings), model.build(at)
-
-
-def _at_null(model: AugmentedModel) -> np.ndarray:
-    """Coordinates of no effect: strengths of zero, shapes as they are by default."""
-    null = [each() for each in model.effects]
-    return np.array(
-        [
-            0.0 if free.scale is not None else float(np.log(getattr(null[free.index], free.field)))
-            for free in model.free
-        ]
-    )
-
-
-def _columns_with_shapes(responses: Regressors, model: AugmentedModel, at: np.ndarray) -> list[int]:
-    """Columns of the effects' strengths, of the variants with these shapes."""
-    found: list[int] = []
-    for index, effect in enumerate(model.effects):
-        shapes = [
-            at[place]
-            for place, free in enumerate(model.free)
-            if free.index == index and free.scale is None
-        ]
-        same = (
-            each
-            for each in responses.variants
-            if each.effect is effect and np.allclose(np.log(each.shapes), shapes)
-        )
-        found += next(same).columns
-    return found
 
 
 def _with_law(
@@ -134,6 +106,13 @@ def _without_law(each: PreparedRun, count: int) -> PreparedRun:
     effects = each.trial.simulator.effects
     simulator = replace(each.trial.simulator, effects=effects[: len(effects) - count])
     return replace(each, trial=replace(each.trial, simulator=simulator))
+
+
+def _is_default(variant: ShapeVariant) -> bool:
+    """True for an effect with its shapes as they are by default."""
+    null = variant.effect()
+    own = [float(getattr(null, name)) for name in shapes(variant.effect)]
+    return bool(np.allclose(variant.shapes, own))
 
 
 def _is_possible(runs: Sequence[PreparedRun], effect: type[AbstractEffect]) -> bool:

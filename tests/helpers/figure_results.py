@@ -227,7 +227,8 @@ def diagnoses(monkeypatch: pytest.MonkeyPatch, dataset: Any) -> dict[str, Figure
     clock = loose(time=TIME, condition=loose(now=[1], before=[0]))
     problem = loose(
         differences=loose(dataset=dataset, clocks=[clock]),
-        residual_at_common_zeta=lambda: [0 * RECORDED, BEFORE - RECORDED],
+        residual_without=lambda side: [0 * RECORDED, BEFORE - RECORDED],
+        residual_by_law=lambda here: here.residual,
     )
     changed: Any = loose(problem=problem, chosen=loose(residual=[0 * RECORDED, AFTER - RECORDED]))
     before, after = ([MatchedRun(each, 0.0, True) for each in those] for those in residuals)

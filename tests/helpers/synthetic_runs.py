@@ -1,12 +1,14 @@
 """Short simulated runs, for tests of fits."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.runlog.record import Measured, RecordedSetup, RunLog
 from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp
+from drftjax.setups.setup_toml import setup_toml
 from drftjax.setups.simulated_run import simulated_run
 from drftjax.simulation.statics import sinkage_under_load
 
@@ -22,6 +24,14 @@ DEEPER = 1.1
 PLATE = 0.005
 NOISE = 20e-6
 BELIEVED_ZETA = 0.7823
+
+
+def write_believed_setup(path: Path) -> Path:
+    """Write the slow run's set-up as it is believed, with coarse plates as all fits here have."""
+    setup = setup_of(SLOW)
+    setup.terrain.zeta = BELIEVED_ZETA
+    path.write_text(setup_toml(setup))
+    return path
 
 
 def step_for(omega) -> float:

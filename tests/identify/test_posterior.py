@@ -16,7 +16,6 @@ import drftjax
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import write_run
 from drftjax.setups.setup import read_setup
-from drftjax.setups.setup_toml import setup_toml
 from identify.fit_constant import fit
 from identify.parameters.parameter import own, shared
 from identify.solver.problem import normal_equations
@@ -29,7 +28,7 @@ from identify.uncertainty.markov_chains import (
 )
 from identify.uncertainty.posterior import sample_posterior
 from identify.uncertainty.posterior_density import PosteriorDensity
-from tests.helpers.synthetic_runs import BELIEVED_ZETA, SLOW, coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import SLOW, coarse, recorded, setup_of, write_believed_setup
 
 ZETA = "terrain.zeta"
 # A mean of n effective samples is known to 1 / sqrt(n) standard deviations, and a standard
@@ -281,11 +280,7 @@ def log(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    """The rig's set-up, with coarse plates as all fits here have them."""
-    path, setup = tmp_path_factory.mktemp("model") / "model.toml", setup_of(SLOW)
-    setup.terrain.zeta = BELIEVED_ZETA
-    path.write_text(setup_toml(setup))
-    return path
+    return write_believed_setup(tmp_path_factory.mktemp("model") / "model.toml")
 
 
 def test_command_writes_draws_once_and_again(drft, log, model, tmp_path, monkeypatch):

@@ -12,7 +12,6 @@ from drftjax.common.errors import InputError
 from drftjax.physics.command import Command
 from drftjax.runlog.hdf5.api import read_result, write_run
 from drftjax.setups.fitted_model import FIT_SCHEMA, read_model
-from drftjax.setups.setup_toml import setup_toml
 from drftjax.setups.terrain_setup import ZetaKnots
 from identify.design.required_speed import _error, add_required_speeds, required_speed
 from identify.fit_constant import MODEL_ERROR, fit
@@ -27,7 +26,14 @@ from identify.uncertainty.bootstrap import (
     resample_runs,
     simulated_noise,
 )
-from tests.helpers.synthetic_runs import BELIEVED_ZETA, NOISE, SLOW, coarse, recorded, setup_of
+from tests.helpers.synthetic_runs import (
+    NOISE,
+    SLOW,
+    coarse,
+    recorded,
+    setup_of,
+    write_believed_setup,
+)
 from tests.studies.coverage import LAMBDA, ZETA, coverage
 
 # Two-sided 90 % of a normal distribution, in standard errors; of three such values one lies farther
@@ -370,11 +376,7 @@ def log(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def model(tmp_path_factory):
-    """The rig's set-up, with coarse plates as all fits here have them."""
-    path, setup = tmp_path_factory.mktemp("model") / "model.toml", setup_of(SLOW)
-    setup.terrain.zeta = BELIEVED_ZETA
-    path.write_text(setup_toml(setup))
-    return path
+    return write_believed_setup(tmp_path_factory.mktemp("model") / "model.toml")
 
 
 def test_command_profiles_and_draws(drft, log, model, tmp_path):

@@ -145,13 +145,6 @@ class Differences:
             found[np.ix_(members, members)] = np.eye(len(members)) - 1 / len(members)
         return found
 
-    def mean_by_condition(self, values: np.ndarray) -> np.ndarray:
-        """Mean over each run's condition, shape (runs,); a run of none has its own value."""
-        found = np.array(values, float)
-        for clock in self.clocks:
-            found[list(clock.condition.runs)] = values[list(clock.condition.runs)].mean()
-        return found
-
     def gram(
         self,
         columns: Sequence[np.ndarray],

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ import drftjax
 from diagnose.blind.answers.answer import folder_of, runs_of
 from diagnose.blind.answers.answer_file import Answer
 from diagnose.blind.answers.answer_set import answer_set
-from diagnose.change.comparison import ChangeSettings
+from diagnose.change.comparison import ChangeSettings, law_notes
 from diagnose.commands.diagnose import app
 from drftjax.common.errors import InputError
 from drftjax.runlog.hdf5.api import read_run, write_run
@@ -95,6 +96,24 @@ def test_the_base_follows_the_law_of_the_runs_before(sloped):
         assert found[name] == pytest.approx(shared[name], abs=LAW[name])
 
 
+def test_what_is_left_by_the_law_is_what_the_fit_leaves(sloped):
+    problem, chosen = sloped.problem, sloped.chosen
+    factors = problem.law_factors(chosen)
+    assert factors["z"] == 1.0
+    assert factors["x"] != 1.0
+    here = SimpleNamespace(map=lambda work, items: [work(each) for each in items])
+    nothing = [each[:, :, :0] for each in chosen.columns]
+    left = problem.residual_by_law(chosen)
+    matrices = problem.differences.gram(nothing, problem.by_zeta, left, here)
+    found = matrices.gram[:, -1, -1] / matrices.count
+    np.testing.assert_allclose(found, chosen.fit.mean_square, rtol=1e-9)  # other sums
+
+
+def test_another_law_is_told_where_it_shows():
+    (told,) = law_notes({"x": 0.54, "z": 1.0, "torque": 1.1})
+    assert told.startswith("In x the change does 0.54 times")
+
+
 def test_the_parts_of_the_difference_add_up(sloped):
     for each in sloped.budget:
         parts = each.change + each.zeta_scatter + each.remainder + each.noise
@@ -170,6 +189,7 @@ def test_the_command_writes_what_changed(folder, sloped, tmp_path, monkeypatch):
     assert document["schema"] == "drft-diagnosis"
     assert document["verdict"] == ["surface_slope"]
     assert document["against"]["changed"] is True
+    assert document["against"]["law_factors"]["z"] == 1.0
     assert sum(document["weights"].values()) == pytest.approx(1.0)
     page = (tmp_path / "out" / "report.html").read_text()
     assert "surface_slope" in page
