@@ -13,6 +13,7 @@ import pytest
 
 from drftjax.runlog.hdf5.api import read_run
 from hils.conformance.catalogue import HELLO_RULES
+from hils.conformance.probe import Probe
 from hils.conformance.rule import Rule, finding
 from tests.helpers.c_firmware import FIRMWARE, compile_c
 from tests.helpers.drft_command import Drft
@@ -34,6 +35,14 @@ omega_unit = "deg/s"
 [integrator]
 step = 2e-3
 """
+
+
+def turn_on_a_busy_machine(probe: Probe) -> None:
+    """Let the wheel turn with the longest watchdog, 500 ms.
+
+    In a pause that outlasts it the rig comes to rest by itself, and the rule is not judged.
+    """
+    probe.make_turn(probe.settings.long_tick_us)
 
 
 class BenchProcess:
@@ -126,7 +135,7 @@ def test_a_broken_rule_ends_with_1(bench, drft, monkeypatch):
 @pytest.mark.parametrize("order", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_trial_leaves_the_wheel_at_rest(bench, drft, monkeypatch, order):
     def interrupts(probe):
-        probe.make_turn()
+        turn_on_a_busy_machine(probe)
         assert bench.reaches("state 2, reason 0")
         os.kill(os.getpid(), order)
         probe.stream(probe.turn(), 5.0)
@@ -134,14 +143,14 @@ def test_an_interrupted_trial_leaves_the_wheel_at_rest(bench, drft, monkeypatch,
     rule = Rule("a turn", "CMD", interrupts, moving=True)
     monkeypatch.setattr("hils.conformance.catalogue.rules", lambda moving: (rule,))
     answer = drft("hils", "conform", "--port", bench.port, "--moving", "--yes")
-    assert answer.code == 130
+    assert answer.code == 130, answer
     assert bench.reaches("state 0, reason 8")
     assert bench.states()[-2] == "state 1, reason 4"  # STOP, then BYE
 
 
 def test_the_rigs_own_button_ends_the_trial(bench, drft, monkeypatch):
     def press(probe):
-        probe.make_turn()
+        turn_on_a_busy_machine(probe)
         bench.process.send_signal(signal.SIGUSR1)
         probe.stream(probe.turn(), PATIENCE)
 
