@@ -105,34 +105,46 @@ ON_DRIVEN = [k for k, (name, _) in enumerate(STRENGTHS) if name not in ON_FREE]
 DIRECTIONS = np.stack([direction(k) for k in range(len(STRENGTHS))])
 
 
+@partial(jax.jit, static_argnums=0)
+def with_derivatives(run, table, directions):
+    """Readings of a run at each row of a table, and their derivatives along each direction.
+
+    One program for the null and for the differences about it: all 58 effects take longer to
+    compile than to run.
+    """
+    return jax.vmap(lambda at, along: jax.jvp(run, (at,), (along,)))(table, directions)
+
+
+def at_shifted(change: float) -> tuple[np.ndarray, np.ndarray]:
+    """Readings, and derivatives per typical strength, where each in turn is changed from null.
+
+    Args:
+        change: Share of the typical strengths; 0 for the null.
+
+    Returns:
+        Both of shape (strengths, 5, rows).
+    """
+    START()  # kept for later, so it must not be asked for first within a trace
+    table = NULL_VECTOR + change * DIRECTIONS
+    found = [np.array(each) for each in with_derivatives(readings, table, DIRECTIONS)]
+    of_driven = with_derivatives(driven_readings, table[ON_DRIVEN], DIRECTIONS[ON_DRIVEN])
+    for each, driven_one in zip(found, of_driven, strict=True):
+        each[ON_DRIVEN] = driven_one
+    return found[0], found[1]
+
+
 @pytest.fixture(scope="module")
 def null():
     """Readings at the null, and their derivatives per typical strength (strengths, 5, rows)."""
-    START()  # kept for later, so it must not be asked for first within a trace
-
-    @partial(jax.jit, static_argnums=0)
-    def with_derivatives(run, at, directions):
-        return run(at), jax.vmap(lambda d: jax.jvp(run, (at,), (d,))[1])(directions)
-
-    value, along = with_derivatives(readings, NULL_VECTOR, DIRECTIONS)
-    _, of_driven = with_derivatives(driven_readings, NULL_VECTOR, DIRECTIONS[ON_DRIVEN])
-    return np.asarray(value), np.asarray(along.at[np.array(ON_DRIVEN)].set(of_driven))
+    values, along = at_shifted(0.0)
+    on_free = next(k for k in range(len(STRENGTHS)) if k not in ON_DRIVEN)
+    return values[on_free], along
 
 
 @pytest.fixture(scope="module")
 def differences():
     """Central differences per typical strength: (changes, strengths, 5, rows)."""
-    START()
-    table = [NULL_VECTOR + s * c * d for c in CHANGES for s in (1, -1) for d in DIRECTIONS]
-
-    def of(run, table):
-        found = np.array(jax.jit(jax.vmap(run))(jnp.asarray(table)))
-        return found.reshape(len(CHANGES), 2, -1, *found.shape[1:])
-
-    runs = of(readings, np.stack(table))
-    by_strength = np.stack(table).reshape(len(CHANGES), 2, len(STRENGTHS), -1)[:, :, ON_DRIVEN]
-    runs[:, :, ON_DRIVEN] = of(driven_readings, by_strength.reshape(-1, len(NUMBERS)))
-    return (runs[:, 0] - runs[:, 1]) / (2 * np.asarray(CHANGES)[:, None, None, None])
+    return np.stack([(at_shifted(c)[0] - at_shifted(-c)[0]) / (2 * c) for c in CHANGES])
 
 
 def test_the_catalogue_holds_ours_first_with_names_of_their_own():
