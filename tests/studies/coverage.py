@@ -43,7 +43,9 @@ class Coverage:
         )
 
 
-def coverage(batches: int, offsets: bool = True, seed: int = 0, report=None) -> Coverage:
+def coverage(
+    batches: int, offsets: bool = True, seed: int = 0, report=None, step: float = STEP
+) -> Coverage:
     """Fit `batches` of two runs whose truth is known.
 
     Args:
@@ -51,6 +53,7 @@ def coverage(batches: int, offsets: bool = True, seed: int = 0, report=None) -> 
         offsets: Whether each phase is off by a constant, and the fit supposes so.
         seed: Of truths and noise.
         report: Called with the number of the batch.
+        step: Of the simulations and the fits [s].
     """
     from identify.fit_constant import MODEL_ERROR, fit
     from identify.parameters.parameter import own, shared
@@ -60,7 +63,9 @@ def coverage(batches: int, offsets: bool = True, seed: int = 0, report=None) -> 
     off: dict[str, list[float]] = {ZETA: [], LAMBDA: []}
     for batch in range(batches):
         zetas, factor = 0.75 + 0.02 * random.standard_normal(2), random.uniform(0.8, 1.4)
-        candidates = [_run(f"run {n}", zeta, factor, random, error) for n, zeta in enumerate(zetas)]
+        candidates = [
+            _run(f"run {n}", zeta, factor, random, error, step) for n, zeta in enumerate(zetas)
+        ]
         result = fit(candidates, [own("zeta"), shared("lambda")], model_error=error)
         for run, zeta in zip(result.runs, zetas, strict=True):
             off[ZETA].append((run.values[ZETA].value - zeta) / run.values[ZETA].error)
@@ -71,16 +76,16 @@ def coverage(batches: int, offsets: bool = True, seed: int = 0, report=None) -> 
     return Coverage({name: np.array(values) for name, values in off.items()})
 
 
-def _run(name: str, zeta: float, factor: float, random, error):
+def _run(name: str, zeta: float, factor: float, random, error, step: float):
     from drftjax.runlog.record import Measured
     from identify.uncertainty.estimate import phases_of
     from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
     setup = setup_of(BRISK, zeta)
     setup.terrain.inertial_coefficient = factor
-    setup.integrator.step = STEP
+    setup.integrator.step = step
     run = recorded(setup, int(random.integers(2**31)))
-    each = coarse(name, run, step=STEP)
+    each = coarse(name, run, step=step)
     counts = np.ones((1, 1, len(run.measured.time)), bool)
     (phase,) = phases_of((each,), counts)
     channels = {}
@@ -88,7 +93,7 @@ def _run(name: str, zeta: float, factor: float, random, error):
         constants = error.get(channel, 0.0) * random.standard_normal(phase.max() + 1)
         channels[channel] = values + constants[phase]
     moved = dataclasses.replace(run, measured=Measured(time=run.measured.time, **channels))
-    return coarse(name, moved, step=STEP)
+    return coarse(name, moved, step=step)
 
 
 def main() -> None:
