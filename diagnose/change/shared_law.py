@@ -37,12 +37,16 @@ class SharedLawSettings:
         width: Width of the prior on each number [typical sizes]: exponents of depth of 0.8 to 1.4
             are common, and a healthy rig pulls and bears by some newtons.
         max_step: Longest change of a number in one round [typical sizes].
-        rounds: Rounds of linearisation and fit, as responses change with the law.
+        rounds: Rounds of linearisation and fit at most, as responses change with the law: far from
+            it a fit hardly leads there, and a base that does not follow the runs answers to no
+            change as they do.
+        settled: They end where no number moves by more than this [typical sizes].
     """
 
     width: float = 2.0
     max_step: float = 3.0
-    rounds: int = 2
+    rounds: int = 8
+    settled: float = 0.3
 
 
 DEFAULT_SHARED_LAW = SharedLawSettings()
@@ -89,8 +93,11 @@ def follow_shared_law(
         )
         if not np.isfinite(fit.coefficients).all():
             break  # A run's wheel falls at this law, so that it has no derivative.
-        at[strengths] += np.clip(fit.coefficients, -settings.max_step, settings.max_step)
+        step = np.clip(fit.coefficients, -settings.max_step, settings.max_step)
+        at[strengths] += step
         runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
+        if np.abs(step).max(initial=0.0) < settings.settled:
+            break
     return RigDataset.of(runs, dataset.settings), model.build(at)
 
 

@@ -9,7 +9,8 @@ by), the score $Z_h$ of its log zetas (`diagnose.change.differences.fit`), and $
 held against it: a model's own error, what repeats on one side differ by, and a share $\epsilon^2$
 of what no change leaves beyond noise, as no sand follows the law that the responses are simulated
 with; and the same share of what the runs' zetas do where nothing changed, for the same reason.
-`unknown` is taken to leave a share $\rho$ (in amplitude) of what no change leaves beyond noise.
+`unknown` is taken to leave a share $\rho$ (in amplitude) of the difference: of what no change
+leaves beyond noise, and of what its zetas make up for by scattering more than the bed.
 """
 
 import math
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.change.differences.fit import DifferenceFit, contrasts_of
 from diagnose.change.hypothesis import ZETA, ChangeHypothesis, ChangeProblem
 from diagnose.change.screening import ChangeScreening
 from diagnose.selection.model_weights import NONE, UNKNOWN
@@ -126,10 +128,35 @@ def _log_weights(
         + prior.get(each.name, per_effect)
         for each in found.all
     ]
-    left = none.mean_square - (1 - settings.unknown_residual_share**2) * beyond
     cost = settings.parameter_cost * settings.unknown_parameters
-    unknown = evidence(left) + none.zeta_score - cost + settings.log_prior_unknown
+    left, zeta_score = _left_by_unknown(problem, none, beyond, settings)
+    unknown = evidence(left) + zeta_score - cost + settings.log_prior_unknown
     return np.array([*logs, unknown])
+
+
+def _left_by_unknown(
+    problem: ChangeProblem,
+    none: DifferenceFit,
+    beyond: np.ndarray,
+    settings: ChangeWeightSettings,
+) -> tuple[np.ndarray, float]:
+    """Mean squares that `unknown` leaves, shape (blocks,), and the score of its log zetas.
+
+    Zetas that part by more than the bed's scatter are a part of what it is to explain.
+
+    Args:
+        problem: The runs.
+        none: No change.
+        beyond: What that leaves beyond noise, shape (blocks,).
+        settings: For the share that is left.
+    """
+    bed, contrasts = problem.settings.bed, contrasts_of(problem.differences.centring)
+    usual = min(none.zeta_variance, bed.scatter**2)
+    strayed = 1.0 - usual / none.zeta_variance if none.zeta_variance > 0 else 0.0
+    left = none.mean_square - beyond
+    left = left + settings.unknown_residual_share**2 * (beyond + strayed * none.power)
+    gained = bed.evidence(usual, contrasts) - bed.evidence(none.zeta_variance, contrasts)
+    return left, none.zeta_score + gained
 
 
 def _decide(

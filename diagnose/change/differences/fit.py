@@ -61,7 +61,8 @@ class DifferenceFit:
         mean_square: $s_b$, shape (blocks,), in the blocks' units squared.
         response_error: $e_b$, likewise.
         zeta_score: The part of the score that zeta's scatter and the factors have.
-        scatter: Scatter of log zeta between runs, as the fit finds it [-].
+        scatter: Scatter of log zeta between runs, as the fit finds it with the bed's own [-].
+        zeta_variance: Mean square of log zeta's contrasts between runs [-].
         law_factors: $\phi_c$ in each block [-], shape (blocks,).
         power: Mean square of all that the model changes, without these, shape (blocks,).
     """
@@ -73,6 +74,7 @@ class DifferenceFit:
     response_error: np.ndarray
     zeta_score: float
     scatter: float
+    zeta_variance: float
     law_factors: np.ndarray
     power: np.ndarray
 
@@ -222,12 +224,12 @@ def _scored(
     """A fit with its score."""
     worth = matrices.worth(settings)
     floor = matrices.floor(settings)
-    contrasts = _contrasts(centring)
-    scatter = float(own @ centring @ own) / max(contrasts, 1)
+    contrasts = contrasts_of(centring)
+    variance = float(own @ centring @ own) / max(contrasts, 1)
     level = float(own @ (own - centring @ own)) / settings.level_width**2
     by_channel = dict(zip((channel for channel, _ in matrices.blocks), factors, strict=True))
     of_factors = sum((each / settings.law_factor_prior) ** 2 for each in by_channel.values())
-    zeta_score = settings.bed.evidence(scatter, contrasts) - 0.5 * (float(of_factors) + level)
+    zeta_score = settings.bed.evidence(variance, contrasts) - 0.5 * (float(of_factors) + level)
     evidence = -0.5 * float((worth * np.log(mean_square + response_error + floor)).sum())
     return DifferenceFit(
         evidence + zeta_score,
@@ -236,20 +238,21 @@ def _scored(
         mean_square,
         response_error,
         zeta_score,
-        float(settings.bed.hold(scatter, contrasts) ** -0.5),
+        float(settings.bed.hold(variance, contrasts) ** -0.5),
+        variance,
         factors,
         power,
     )
 
 
-def _contrasts(centring: np.ndarray) -> int:
+def contrasts_of(centring: np.ndarray) -> int:
     """Independent differences of log zeta: runs less conditions."""
     return round(float(np.trace(centring)))
 
 
 def _hold(own: np.ndarray, centring: np.ndarray, settings: DifferenceFitSettings) -> np.ndarray:
     """Precision of log zetas: about their condition's, and of that about what is known."""
-    contrasts = _contrasts(centring)
+    contrasts = contrasts_of(centring)
     hold = settings.bed.hold(float(own @ centring @ own) / max(contrasts, 1), contrasts)
     return hold * centring + _level_hold(centring, settings)
 
