@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
 from diagnose.hypotheses.hypothesis import lower_bounds
-from diagnose.linear.linear_fit import fit_linear
+from diagnose.linear.linear_fit import fit_linear, floor_inflation
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, with_effects
@@ -40,12 +40,15 @@ class SharedLawSettings:
         rounds: Rounds of linearisation and fit at most, as responses change with the law: far from
             it a fit hardly leads there, and a base that does not follow the runs answers to no
             change as they do.
+        floor_shares: In the first rounds every model error is raised to this share of the worst
+            block's RMS in model errors [-], so that the blocks that are missed by most lead.
         settled: They end where no number moves by more than this [typical sizes].
     """
 
     width: float = 2.0
     max_step: float = 3.0
     rounds: int = 8
+    floor_shares: tuple[float, ...] = (0.3, 0.1, 0.03)
     settled: float = 0.3
 
 
@@ -78,25 +81,29 @@ def follow_shared_law(
     strengths = np.array([free.scale is not None for free in model.free])
     with_null = RigDataset.of(_with_law(dataset.runs, model, at), dataset.settings)
     runs = without_step_errors(with_null, pool).runs
-    for _ in range(settings.rounds):
+    for turn in range(settings.rounds):
         base = RigDataset.of([runs[run] for run in before], dataset.settings)
         linearized = linearize_runs(base, match_initial_zeta(base, pool), pool)
         responses = Regressors.of(base, linearized, model.effects, pool)
+        matrices, leading = responses.gram_matrices, turn < len(settings.floor_shares)
+        missed = fit_linear(matrices, ()).mean_square
+        share = settings.floor_shares[turn] if leading else 0.0
         least = [bound for each in model.effects for bound in lower_bounds(each)]
         fit = fit_linear(
-            responses.gram_matrices,
+            matrices,
             [column for each in responses.variants if _is_default(each) for column in each.columns],
             prior=np.full(strengths.sum(), settings.width),
             offset=at[strengths],
             lower=np.array(least) - at[strengths],
             linear_error=0.0,
+            inflation=floor_inflation(matrices.blocks, missed, share),
         )
         if not np.isfinite(fit.coefficients).all():
             break  # A run's wheel falls at this law, so that it has no derivative.
         step = np.clip(fit.coefficients, -settings.max_step, settings.max_step)
         at[strengths] += step
         runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
-        if np.abs(step).max(initial=0.0) < settings.settled:
+        if not leading and np.abs(step).max(initial=0.0) < settings.settled:
             break
     return RigDataset.of(runs, dataset.settings), model.build(at)
 
