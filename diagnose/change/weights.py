@@ -46,7 +46,7 @@ class ChangeWeightSettings:
         min_named_weight: One of less weight than this is not named beside another [-].
     """
 
-    law_error_share: float = 0.05
+    law_error_share: float = 0.07
     unknown_residual_share: float = 0.3
     parameter_cost: float = 1.5
     unknown_parameters: int = 3
@@ -54,8 +54,8 @@ class ChangeWeightSettings:
     log_prior_effects: float = 0.0
     log_prior_unknown: float = -1.6
     alarm_ratio: float = 5.0
-    group_weight: float = 0.9
-    min_named_weight: float = 0.1
+    group_weight: float = 0.95
+    min_named_weight: float = 0.05
 
 
 DEFAULT_CHANGE_WEIGHTS = ChangeWeightSettings()

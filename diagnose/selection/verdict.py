@@ -36,8 +36,8 @@ class VerdictSettings:
         max_competing: One run is asked to tell the verdict from so many at most.
     """
 
-    group_weight: float = 0.9
-    min_named_weight: float = 0.1
+    group_weight: float = 0.95
+    min_named_weight: float = 0.05
     alarm_ratio: float = 4.5
     min_competing_weight: float = 0.02
     listed_share: float = 0.7
