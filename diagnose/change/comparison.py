@@ -170,11 +170,11 @@ def _problem(
 ) -> ChangeProblem:
     """The runs, linearised at a zeta each about a base that follows those before.
 
-    Where a run's wheel falls at first in that base, about the reference model as it is.
+    Where a run cannot be simulated in that base, about the reference model as it is.
     """
     try:
         return _problem_about(settings.law, runs, conditions, effects, pool, report, settings)
-    except _FallsAtFirst:
+    except RunError:
         plain = replace(settings.law, rounds=0)
         return _problem_about(plain, runs, conditions, effects, pool, report, settings)
 
@@ -202,10 +202,6 @@ def _problem_about(
     return ChangeProblem.of(differences, regressors, law, pool, settings.fit)
 
 
-class _FallsAtFirst(RunError):
-    """A run whose wheel falls at the start of its simulation."""
-
-
 def _require_derivatives(regressors: Regressors) -> None:
     """Refuse a run whose wheel falls at first: no linear response of it holds.
 
@@ -217,7 +213,7 @@ def _require_derivatives(regressors: Regressors) -> None:
     for run, columns in zip(dataset.runs, regressors.columns, strict=True):
         # A wheel cannot sink by its own radius for a small part of zeta.
         if not np.abs(columns[z, :, 0]).max(initial=0.0) < run.setup.wheel.radius:
-            raise _FallsAtFirst(
+            raise RunError(
                 run.name,
                 "its wheel falls at the start of a simulation, so that no derivative holds; a "
                 "run is to begin with a wheel that stands",

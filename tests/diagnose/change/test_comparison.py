@@ -14,9 +14,11 @@ import drftjax
 from diagnose.blind.answers.answer import folder_of, runs_of
 from diagnose.blind.answers.answer_file import Answer
 from diagnose.blind.answers.answer_set import answer_set
+from diagnose.change import comparison
 from diagnose.change.comparison import ChangeSettings, law_notes
+from diagnose.change.shared_law import SharedLawSettings
 from diagnose.commands.diagnose import app
-from drftjax.common.errors import InputError
+from drftjax.common.errors import InputError, RunError
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
@@ -94,6 +96,17 @@ def test_the_base_follows_the_law_of_the_runs_before(sloped):
     for shared in SHARED:
         (name,) = shared.keys() - {"name"}
         assert found[name] == pytest.approx(shared[name], abs=LAW[name])
+
+
+def test_runs_that_no_base_can_follow_are_compared_about_the_reference_model(monkeypatch):
+    def about(law, *_):
+        if law.rounds:
+            raise RunError("run_a", "no zeta lets the reference model follow its sinkage")
+        return law
+
+    monkeypatch.setattr(comparison, "_problem_about", about)
+    found = comparison._problem((), (), (), None, print, ChangeSettings())
+    assert found == SharedLawSettings(rounds=0)
 
 
 def test_what_is_left_by_the_law_is_what_the_fit_leaves(sloped):
