@@ -48,7 +48,7 @@ from diagnose.result import ParameterEstimate
 from diagnose.run_pool import RunPool
 from drftjax.common.errors import RunError
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import field_metadata, reported_name
+from drftjax.effects.catalogue import field_metadata, reported_name, strengths
 from drftjax.recorded.prepared_run import PreparedRun
 
 Report = Callable[[str], None]
@@ -153,6 +153,7 @@ def compare_runs(
             ),
             notes=[
                 *_notes(runs, kept, len(conditions), chosen, settings),
+                *base_notes(problem.law),
                 *([] if nothing else law_notes(problem.law_factors(chosen), settings)),
             ],
             problem=problem,
@@ -262,6 +263,21 @@ def law_notes(
         "was fitted to the runs before: the sand's own is another."
         for channel, factor in factors.items()
         if abs(factor - 1) > settings.told_law_factor
+    ]
+
+
+def base_notes(law: Sequence[AbstractEffect]) -> list[str]:
+    """A sentence where no base was fitted, as runs cannot be simulated about it.
+
+    Args:
+        law: The base's effects; all of no strength where none was fitted.
+    """
+    numbers = [float(getattr(each, name)) for each in law for name in strengths(type(each))]
+    if any(numbers) or not numbers:
+        return []
+    return [
+        "No base could be fitted to the runs before about which all runs can be simulated: the "
+        "reference model stands for it, and sizes may be further off."
     ]
 
 

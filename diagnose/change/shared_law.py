@@ -37,12 +37,10 @@ class SharedLawSettings:
         width: Width of the prior on each number [typical sizes]: exponents of depth of 0.8 to 1.4
             are common, and a healthy rig pulls and bears by some newtons.
         max_step: Longest change of a number in one round [typical sizes].
-        rounds: Rounds of linearisation and fit at most, as responses change with the law: far from
-            it a fit hardly leads there, and a base that does not follow the runs answers to no
-            change as they do.
+        rounds: Rounds of linearisation and fit at most, as responses change with the law.
         floor_shares: In the first rounds every model error is raised to this share of the worst
             block's RMS in model errors [-], so that the blocks that are missed by most lead.
-        settled: They end where no number moves by more than this [typical sizes].
+        settled: After these, rounds end where no number moves by more than this [typical sizes].
     """
 
     width: float = 2.0
@@ -85,9 +83,9 @@ def follow_shared_law(
         base = RigDataset.of([runs[run] for run in before], dataset.settings)
         linearized = linearize_runs(base, match_initial_zeta(base, pool), pool)
         responses = Regressors.of(base, linearized, model.effects, pool)
-        matrices, leading = responses.gram_matrices, turn < len(settings.floor_shares)
+        matrices = responses.gram_matrices
         missed = fit_linear(matrices, ()).mean_square
-        share = settings.floor_shares[turn] if leading else 0.0
+        share = settings.floor_shares[turn] if turn < len(settings.floor_shares) else 0.0
         least = [bound for each in model.effects for bound in lower_bounds(each)]
         fit = fit_linear(
             matrices,
@@ -103,7 +101,7 @@ def follow_shared_law(
         step = np.clip(fit.coefficients, -settings.max_step, settings.max_step)
         at[strengths] += step
         runs = _with_law([_without_law(each, len(model.effects)) for each in runs], model, at)
-        if not leading and np.abs(step).max(initial=0.0) < settings.settled:
+        if share == 0 and np.abs(step).max(initial=0.0) < settings.settled:
             break
     return RigDataset.of(runs, dataset.settings), model.build(at)
 

@@ -153,8 +153,8 @@ def _left_by_unknown(
     bed, contrasts = problem.settings.bed, contrasts_of(problem.differences.centring)
     usual = min(none.zeta_variance, bed.scatter**2)
     strayed = 1.0 - usual / none.zeta_variance if none.zeta_variance > 0 else 0.0
-    left = none.mean_square - beyond
-    left = left + settings.unknown_residual_share**2 * (beyond + strayed * none.power)
+    difference = beyond + strayed * none.power
+    left = none.mean_square - beyond + settings.unknown_residual_share**2 * difference
     gained = bed.evidence(usual, contrasts) - bed.evidence(none.zeta_variance, contrasts)
     return left, none.zeta_score + gained
 

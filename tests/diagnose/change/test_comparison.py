@@ -15,10 +15,12 @@ from diagnose.blind.answers.answer import folder_of, runs_of
 from diagnose.blind.answers.answer_file import Answer
 from diagnose.blind.answers.answer_set import answer_set
 from diagnose.change import comparison
-from diagnose.change.comparison import ChangeSettings, law_notes
+from diagnose.change.comparison import ChangeSettings, base_notes, law_notes
 from diagnose.change.shared_law import SharedLawSettings
 from diagnose.commands.diagnose import app
 from drftjax.common.errors import InputError, RunError
+from drftjax.effects.stress import DepthPower
+from drftjax.effects.terrain import Heap
 from drftjax.runlog.hdf5.api import read_run, write_run
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
@@ -107,6 +109,12 @@ def test_runs_that_no_base_can_follow_are_compared_about_the_reference_model(mon
     monkeypatch.setattr(comparison, "_problem_about", about)
     found = comparison._problem((), (), (), None, print, ChangeSettings())
     assert found == SharedLawSettings(rounds=0)
+    (told,) = base_notes((DepthPower(), Heap()))
+    assert "the reference model stands for it" in told
+
+
+def test_a_base_that_was_fitted_needs_no_note(sloped):
+    assert base_notes(sloped.problem.law) == []
 
 
 def test_what_is_left_by_the_law_is_what_the_fit_leaves(sloped):

@@ -14,7 +14,7 @@ BLOCKS = (("x", "slow"), ("z", "slow"))
 # Two commands, each run once before and once now.
 CENTRING = np.kron(np.eye(2), [[0.5, -0.5], [-0.5, 0.5]])
 ZETA_PARTS = 0.1  # by which zetas part between before and now [-]; the bed scatters by 0.012
-MOVED = np.array([2e-2, 2e-3])  # what that moves x and z by [m]
+MOVED = np.array([2e-2, 2e-3])  # RMS that this moves x and z by [m]
 
 
 def fit(left: list[float], variance: float = 0.0) -> DifferenceFit:
