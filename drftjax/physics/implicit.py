@@ -8,7 +8,8 @@ $$\mathbf G(\mathbf v) = M(\mathbf v - \mathbf v_0) - h\,\mathbf F(\mathbf x_0 +
   \mathbf v) = 0,$$
 
 found by Newton's method with step halving. Quasi-static motion is proportional to the angular
-velocity, so the last velocity times the change of angular velocity starts it close by.
+velocity, so the last velocity times the change of angular velocity starts it close by; what the
+step before missed by that, per time, is added.
 
 Derivatives by anything that the step depends on follow from the implicit function theorem at the
 root, $\partial\mathbf v = -(\partial\mathbf G/\partial\mathbf v)^{-1}\,\partial\mathbf G$: one
@@ -95,6 +96,10 @@ class AbstractBalance(eqx.Module):
         """Speed [m/s] that the tolerance of the search is a share of."""
 
     @abc.abstractmethod
+    def bending_speed(self) -> Float[Array, ""]:
+        """Change of velocity [m/s] far within which the forces are linear in it."""
+
+    @abc.abstractmethod
     def size(self, residual: Pair) -> Float[Array, ""]:
         """Residual as a velocity [m/s], over the axes that are free."""
 
@@ -105,7 +110,9 @@ class NewtonSettings(eqx.Module):
     Attributes:
         tolerance: A change of velocity, as a share of the balance's scale, below which the root is
             found: for the paper's wheel a thousandth of a millimetre in 100 s.
-        most_evaluations: Evaluations of the force at most. A wheel that rolls needs 3 or 4, one
+        linear: A Newton step that is shorter than this share of the speed over which forces bend
+            ends the search, too: what it leaves is of second order, a ten-thousandth of that speed.
+        most_evaluations: Evaluations of the force at most. A wheel that rolls needs 2 to 4, one
             that is stopped within a step some 20.
         shrink: Factor on the part of a Newton step that is tried next where the residual does not
             fall. Dry friction turns over within a millionth of the step: a third gets there in
@@ -116,6 +123,7 @@ class NewtonSettings(eqx.Module):
     """
 
     tolerance: float = eqx.field(static=True, default=1e-8)
+    linear: float = eqx.field(static=True, default=1e-2)
     most_evaluations: int = eqx.field(static=True, default=60)
     shrink: float = eqx.field(static=True, default=0.3)
     grow: float = eqx.field(static=True, default=2.0)
@@ -128,12 +136,12 @@ class Root(eqx.Module):
 
     Attributes:
         velocity: Velocity (x, z) [m/s].
-        residual: Residual there [N s].
-        forces: What else the balance gives there.
-        jacobian: Derivative of the residual by the velocity [kg].
-        forces_slope: Derivative of the forces by the velocity [their unit s/m].
+        residual: Residual [N s] at the last evaluation.
+        forces: What else the balance gives at the velocity.
+        jacobian: Derivative of the residual by the velocity [kg], at the last evaluation.
+        forces_slope: Derivative of the forces by the velocity [their unit s/m], there.
         evaluations: Evaluations of the force.
-        found: Whether the last change of velocity was under the tolerance.
+        found: Whether the last change of velocity was short enough.
     """
 
     velocity: Pair
@@ -166,6 +174,8 @@ def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> 
 def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> Root:
     """Root of the balance by Newton's method with step halving.
 
+    The last step is taken without another evaluation: forces go along by their slope.
+
     Args:
         balance: Whose root is looked for.
         guess: Velocity (x, z) to begin with [m/s].
@@ -173,9 +183,14 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
     """
 
     tolerance = settings.tolerance * balance.speed_scale()
+    within_reach = jnp.maximum(tolerance, settings.linear * balance.bending_speed())
 
-    def judged(root: Root, step: Pair) -> Root:
-        return eqx.tree_at(lambda r: r.found, root, jnp.max(jnp.abs(step)) < tolerance)
+    def is_last(step: Pair) -> Bool[Array, ""]:
+        return jnp.max(jnp.abs(step)) < within_reach
+
+    def judged(root: Root, step: Pair, part: Array) -> Root:
+        found = is_last(step) | (part * jnp.max(jnp.abs(step)) < tolerance)
+        return eqx.tree_at(lambda r: r.found, root, found)
 
     def step_of(root: Root) -> Pair:
         return -balance.solve(root.jacobian, root.residual)
@@ -195,7 +210,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         step = jnp.where(accepted, step_of(root), step)
         grown = jnp.minimum(1, settings.grow * part)
         part = jnp.where(accepted, grown, settings.shrink * part).astype(part.dtype)
-        return judged(root, part * step), step, part
+        return judged(root, step, part), step, part
 
     # The first turn is at the guess, and is accepted: so the force stands in the program once.
     first = Root(
@@ -208,7 +223,10 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         found=jnp.asarray(False),
     )
     begun = first, jnp.zeros_like(guess), jnp.ones((), guess.dtype)
-    return jax.lax.while_loop(going_on, turn, begun)[0]
+    root, step, _ = jax.lax.while_loop(going_on, turn, begun)
+    step = jnp.where(is_last(step), step, 0)
+    ends = root.velocity + step, root.forces + root.forces_slope @ step
+    return eqx.tree_at(lambda r: (r.velocity, r.forces), root, ends)
 
 
 def root_of(

@@ -21,6 +21,8 @@ class State(eqx.Module):
         memory: Memory of each effect; empty before `Simulator.begin`.
         growth: Most that a derivative by the velocity has grown by since it last was as small as
             it began [-]; see `drftjax.physics.implicit`.
+        trend: By how much more than its angular velocity says the wheel sped up in the last step,
+            (x, z) [m/s2]: where the search for the next velocity begins, and no more.
     """
 
     time: Float[Array, ""]
@@ -30,6 +32,7 @@ class State(eqx.Module):
     omega: Float[Array, ""]
     memory: tuple[Any, ...] = ()
     growth: Float[Array, ""] = eqx.field(converter=as_real, default=1.0)
+    trend: Float[Array, "2"] = eqx.field(converter=as_real, default=(0.0, 0.0))
 
     @classmethod
     def at_rest(cls, sinkage: Real, x: Real = 0.0, angle: Real = 0.0, speed: Real = 0.0) -> "State":

@@ -203,13 +203,15 @@ class Simulator(eqx.Module):
         zeta = self.terrain.zeta(time, command) * chain.zeta_factor(effects, memory, moment)
         start = self.rig.carriage.approach(state.velocity, command)
         balance = StepBalance(self, start, state, memory, moment, zeta)
-        guess = self.rig.carriage.approach(_guess(state.omega, start, omega, radius), command)
+        quasi_static = _guess(state.omega, start, omega, radius)
+        guess = self.rig.carriage.approach(quasi_static + dt * state.trend, command)
         velocity, sand, root = root_of(balance, guess, self.integrator.newton)
         velocity = self.rig.carriage.impose(velocity, start)
         grown = jnp.minimum(balance.growth(root.jacobian).max(), balance.largest_growth())
         grown = jax.lax.stop_gradient(jnp.maximum(state.growth * grown, 1))
         after, output = self._moved(state, velocity, sand, memory, moment, zeta)
-        return dataclasses.replace(after, growth=grown), output
+        trend = jax.lax.stop_gradient((velocity - quasi_static) / dt)
+        return dataclasses.replace(after, growth=grown, trend=trend), output
 
     def _moved(
         self,
@@ -393,6 +395,11 @@ class StepBalance(AbstractBalance):
 
     def speed_scale(self) -> Float[Array, ""]:
         return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
+
+    def bending_speed(self) -> Float[Array, ""]:
+        simulator, moment = self.simulator, self.moment
+        gravity = simulator.rig.gravity
+        return simulator.integrator.rest_speed(moment.radius, gravity, moment.omega)
 
     def size(self, residual: Float[Array, "2"]) -> Float[Array, ""]:
         speed = residual / self.simulator.rig.mass()
