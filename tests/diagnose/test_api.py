@@ -25,7 +25,7 @@ from drftjax.runlog.hdf5.api import write_run
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import read_setup
 from drftjax.setups.terrain_setup import ZetaKnots
-from tests.helpers.rig_datasets import PROFILES
+from tests.helpers.rig_datasets import PROFILES, WITHOUT_NEXT_RUN
 from tests.helpers.synthetic_runs import recorded, setup_of
 
 SLOPE = 0.02
@@ -98,7 +98,8 @@ def test_importing_diagnose_leaves_jax_alone():
 
 
 def test_the_answer_is_in_double_precision_whatever_the_program_around_it(found, runs):
-    double = drftjax.diagnose(list(runs.values()), ["surface_slope", TravelGain])
+    effects = "surface_slope", TravelGain
+    double = drftjax.diagnose(list(runs.values()), effects, settings=WITHOUT_NEXT_RUN)
     assert found.verdict == double.verdict == ("surface_slope",)
     for channel, gap in double.gap.items():
         assert found.gap[channel].before == pytest.approx(gap.before, rel=ROUNDING)
@@ -107,7 +108,7 @@ def test_the_answer_is_in_double_precision_whatever_the_program_around_it(found,
 
 def test_an_effect_of_the_users_own_is_told_as_any_other(runs):
     # Installed nowhere.
-    found = drftjax.diagnose(runs, [Tilt])
+    found = drftjax.diagnose(runs, [Tilt], settings=WITHOUT_NEXT_RUN)
     assert found.verdict == ("tilt",)
     assert found.summary().startswith("These runs show tilt (the bed is tilted)")
 
@@ -301,7 +302,8 @@ def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatc
         return [dataclasses.replace(each, matched=False) for each in found]
 
     monkeypatch.setattr("diagnose.pipeline.at_mean_sinkage", not_one)
-    found = drftjax.diagnose(runs, ["surface_slope", TravelGain])
+    effects = "surface_slope", TravelGain
+    found = drftjax.diagnose(runs, effects, settings=WITHOUT_NEXT_RUN)
     for name in runs:
         for model in ("the reference model", "the model with the effects"):
             said = f"{name}: no zeta was found at which {model} matches its mean sinkage"
@@ -338,7 +340,8 @@ def test_an_effect_that_the_wheel_cannot_have_is_no_candidate(runs):
         setup = setup_from_run(log)
         setup.wheel.shape = "plain"
         smooth[name] = setup, log
-    found = drftjax.diagnose(smooth, ["grouser_height", "surface_slope"])
+    effects = "grouser_height", "surface_slope"
+    found = drftjax.diagnose(smooth, effects, settings=WITHOUT_NEXT_RUN)
     assert "surface_slope" in found.weights
     assert "grouser_height" not in found.weights
     with pytest.raises(InputError, match="none of the effects: grouser_height needs a wheel with"):

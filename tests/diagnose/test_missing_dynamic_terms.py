@@ -10,6 +10,7 @@ import pytest
 from diagnose.report.text import step_sentences
 from diagnose.result import Diagnosis
 from drftjax.effects.catalogue import effect_class
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN
 from tests.studies.history import TERMS, against_quasi_static, unseen_floors
 
 EFFECTS = tuple(effect_class(name) for name in TERMS)
@@ -27,7 +28,7 @@ STRENGTH = 0.05
 
 @pytest.fixture(scope="module")
 def fast() -> Diagnosis:
-    return against_quasi_static(FAST, EFFECTS, LASTING)
+    return against_quasi_static(FAST, EFFECTS, LASTING, WITHOUT_NEXT_RUN)
 
 
 def test_at_300_deg_a_second_the_height_decrease_is_named(fast):
@@ -74,4 +75,4 @@ def test_the_terms_are_added_one_by_one(fast):
 
 
 def test_at_30_deg_a_second_neither_is_named():
-    assert against_quasi_static(SLOW, EFFECTS, LASTING).verdict == ("none",)
+    assert against_quasi_static(SLOW, EFFECTS, LASTING, WITHOUT_NEXT_RUN).verdict == ("none",)

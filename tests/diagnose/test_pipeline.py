@@ -39,7 +39,7 @@ from drftjax.effects.sensor import SinkageGain, TravelGain
 from drftjax.effects.surface import SurfaceSlope
 from drftjax.effects.terrain import SlipSoftening
 from drftjax.recorded.repeats import group_by_condition
-from tests.helpers.rig_datasets import dataset_with
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN, dataset_with
 
 # One node's map stands for several steps, which is 2 to 5 % here.
 LINES = 0.05
@@ -173,7 +173,7 @@ def test_repeats_are_one_condition(sloping):
 
 
 def test_a_slope_is_named_and_its_gap_closed(sloping):
-    found = diagnose(sloping, CATALOGUE)
+    found = diagnose(sloping, CATALOGUE, settings=WITHOUT_NEXT_RUN)
     assert found.verdict == ("surface_slope",)
     assert found.weights["surface_slope"] > SURE
     # Probabilities that each takes part: a set counts for each of its names.
@@ -200,20 +200,20 @@ def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
         return dataclasses.replace(unseen, residual=[np.full_like(first, np.nan), *others])
 
     monkeypatch.setattr("diagnose.pipeline.predict_held_out", lost)
-    found = diagnose(sloping, CATALOGUE)
+    found = diagnose(sloping, CATALOGUE, settings=WITHOUT_NEXT_RUN)
     assert "surface_slope" not in found.weights
     assert all(np.isfinite(gap.after) for gap in found.gap.values())
 
 
 def test_nothing_added_is_none():
-    found = diagnose(dataset_with(), CATALOGUE)
+    found = diagnose(dataset_with(), CATALOGUE, settings=WITHOUT_NEXT_RUN)
     assert found.verdict == ("none",)
     assert found.parameters == {}
 
 
 def test_one_run_says_what_cannot_be_concluded(sloping):
     alone = RigDataset.of([sloping.runs[0]])
-    found = diagnose(alone, CATALOGUE)
+    found = diagnose(alone, CATALOGUE, settings=WITHOUT_NEXT_RUN)
     assert any("One run only" in note for note in found.notes)
     assert any("No run was repeated" in note for note in found.notes)
 

@@ -21,7 +21,7 @@ from diagnose.unknown.settings import UnknownEffectSettings
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import TravelGain
 from drftjax.effects.surface import SurfaceSlope
-from tests.helpers.rig_datasets import dataset_with
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN, dataset_with
 
 EFFECTS = (Drawbar, SurfaceSlope, TravelGain)
 # Weights of two hypotheses that were refined twice alike, by sums of a few doubles.
@@ -71,22 +71,23 @@ def test_numbers_of_a_fit_and_of_its_refinement_reach_them(sloping, pool):
 
 
 def test_a_weight_and_a_threshold_change_the_verdict(sloping):
-    usual = diagnose(sloping, EFFECTS)
+    usual = diagnose(sloping, EFFECTS, settings=WITHOUT_NEXT_RUN)
     assert usual.verdict == ("surface_slope",)
     prior = WeightSettings(log_prior_unknown=WeightSettings().log_prior_unknown + 30)
     selection = EffectSelectionSettings(large_gap=np.inf)
     # What the unknown may be is not asked, and so searched for little.
     unknown = UnknownEffectSettings(curves=((6, 10.0),), max_variables=1, refinement_steps=1)
-    settings = DiagnosisSettings(weights=prior, selection=selection, unknown_effect=unknown)
+    certain = replace(WITHOUT_NEXT_RUN, weights=prior)
+    settings = replace(certain, selection=selection, unknown_effect=unknown)
     believed = diagnose(sloping, EFFECTS, settings=settings)
     assert believed.verdict == (UNKNOWN,)
     # The slope explains nearly all of a large gap, and is named beside what is believed in.
-    beside = diagnose(sloping, EFFECTS, settings=DiagnosisSettings(weights=prior))
+    beside = diagnose(sloping, EFFECTS, settings=certain)
     assert beside.verdict == ("surface_slope",)
     share = VerdictSettings().listed_share
     assert beside.weights["surface_slope"] == pytest.approx(share, abs=0.01)
     cautious = DiagnosisSettings(
-        verdict=VerdictSettings(alarm_ratio=1e12), held_out=HeldOutSettings(1, 0)
+        verdict=VerdictSettings(alarm_ratio=1e12, max_competing=0), held_out=HeldOutSettings(1, 0)
     )
     silent = diagnose(sloping, EFFECTS, settings=cautious)
     assert silent.verdict == ("none",)

@@ -12,6 +12,7 @@ import pytest
 from diagnose.api import diagnose
 from diagnose.report.budget_text import budget_rows, effect_sentences, one_zeta_sentence
 from diagnose.result import Diagnosis
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN
 
 SEVERAL = ("speed_ripple", "vertical_coulomb", "travel_gain", "vertical_viscous")
 SWEPT = ("slip_softening", "sinkage_hardening", "loosening")
@@ -30,7 +31,7 @@ def labelled(shared: Path, place: str) -> tuple[list[Path], set[str]]:
 @pytest.fixture(scope="module")
 def several(shared: Path) -> tuple[Diagnosis, set[str]]:
     runs, label = labelled(shared, "budget_practice/set_02")
-    return diagnose(runs[:4], SEVERAL), label
+    return diagnose(runs[:4], SEVERAL, settings=WITHOUT_NEXT_RUN), label
 
 
 def test_three_effects_at_once_are_named(several):
@@ -59,7 +60,8 @@ def test_the_budget_divides_the_gap_among_them(several):
 
 def test_zeta_that_falls_with_slip_is_named_and_hides_nearly_all_of_the_gap(shared):
     runs, label = labelled(shared, "sweep_practice/set_02")
-    found = diagnose([each for each in runs if each.stem in FEW_SLIPS], SWEPT)
+    few = [each for each in runs if each.stem in FEW_SLIPS]
+    found = diagnose(few, SWEPT, settings=WITHOUT_NEXT_RUN)
     assert set(found.verdict) == label == {"slip_softening"}
     bed, own = found.one_zeta_gap["z"], found.gap["z"]
     assert bed.before > 20 * own.before

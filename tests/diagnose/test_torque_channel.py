@@ -3,6 +3,7 @@
 from diagnose.dataset import RigDataset
 from diagnose.pipeline import diagnose
 from drftjax.effects.catalogue import effect_class
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN
 from tests.helpers.synthetic_runs import FAST, SLOW, coarse, recorded, setup_of
 
 NAMES = ("wheel_radius", "travel_gain")
@@ -21,7 +22,7 @@ def weight_of_travel_gain(torque_noise: float) -> float:
         channels = ("x", "z", "torque")
         runs.append(recorded(setup, number, channels=channels, force_noise=torque_noise))
     dataset = RigDataset.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
-    found = diagnose(dataset, [*map(effect_class, NAMES)])
+    found = diagnose(dataset, [*map(effect_class, NAMES)], settings=WITHOUT_NEXT_RUN)
     assert found.verdict == ("wheel_radius",)
     return found.weights.get("travel_gain", 0.0)
 

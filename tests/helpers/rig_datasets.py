@@ -2,10 +2,16 @@
 
 from diagnose.dataset import RigDataset, without_step_errors
 from diagnose.run_pool import RunPool
+from diagnose.selection.verdict import VerdictSettings
+from diagnose.settings import DiagnosisSettings
 from drftjax.runlog.record import RunLog
 from drftjax.setups.setup import read_setup
 from drftjax.simulation.statics import sinkage_under_load
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
+
+# No run is proposed that would tell the verdict from its rivals: simulating the runs to choose from
+# takes a third of a diagnosis, and only tests of the proposal ask for it.
+WITHOUT_NEXT_RUN = DiagnosisSettings(verdict=VerdictSettings(max_competing=0))
 
 # Slow and fast, long enough that what grows with travel shows.
 PROFILES = (

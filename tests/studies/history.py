@@ -20,6 +20,7 @@ from diagnose.gap.zeta_matching import residuals_of
 from diagnose.pipeline import diagnose
 from diagnose.result import Diagnosis
 from diagnose.run_pool import RunPool
+from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.record import Measured, RunLog
@@ -68,6 +69,7 @@ def against_quasi_static(
     tops: Sequence[float],
     effects: Sequence[type[AbstractEffect]],
     lasting: float = RUNS,
+    settings: DiagnosisSettings = DEFAULT_SETTINGS,
 ) -> Diagnosis:
     """The diagnosis of such runs, had nobody thought of the dynamic terms."""
     candidates = []
@@ -76,7 +78,8 @@ def against_quasi_static(
         believed.terrain.inertial_coefficient = 0.0
         believed.terrain.height_decrease = 0.0
         candidates.append(prepare_run(f"run {number}", run, model=believed))
-    return diagnose(RigDataset.of(candidates), possible_effects(candidates, effects))
+    considered = possible_effects(candidates, effects)
+    return diagnose(RigDataset.of(candidates), considered, settings=settings)
 
 
 def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") -> float:

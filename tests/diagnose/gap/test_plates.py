@@ -1,5 +1,6 @@
 """Plates of a simulated wheel: what their length makes of the forces is held against no model."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,11 +11,10 @@ from diagnose.dataset import RigDataset
 from diagnose.gap.discretization_error import beside_plates, of_positions
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.pipeline import diagnose
-from diagnose.settings import DiagnosisSettings
 from diagnose.unknown.settings import UnknownEffectSettings
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.prepared_run import PreparedRun
-from tests.helpers.rig_datasets import dataset_with
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN, dataset_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 TIME, OMEGA, RADIUS = [0.0, 0.3, 1.0, 2.5], [0.0, 0.0, 0.8, 0.8], 0.150
@@ -73,7 +73,8 @@ def test_plates_that_come_to_bear_later_are_no_delay_of_the_instruments():
     """Recorded with plates a third as long; what a delay gains in the forces is their share."""
     ratios = enumerate((0.5, 0.9, 1.3))
     dataset = RigDataset.of([driven(1 / 3, number, ratio) for number, ratio in ratios])
-    found = diagnose(dataset, [effect_class("channel_delay"), effect_class("surface_slope")])
+    effects = [effect_class("channel_delay"), effect_class("surface_slope")]
+    found = diagnose(dataset, effects, settings=WITHOUT_NEXT_RUN)
     assert found.verdict == ("none",)
     assert found.weights["channel_delay"] < BY_CHANCE
 
@@ -84,7 +85,7 @@ def test_what_plates_change_in_x_and_z_is_nothing_for_unknown_to_explain(monkeyp
     effects = [effect_class("measurement_filter")]
     # What the unknown may be is not asked, and so searched for little.
     unknown = UnknownEffectSettings(curves=((6, 10.0),), max_variables=1, refinement_steps=1)
-    settings = DiagnosisSettings(unknown_effect=unknown)
+    settings = replace(WITHOUT_NEXT_RUN, unknown_effect=unknown)
 
     def weight_of_unknown() -> float:
         return diagnose(dataset, effects, settings=settings).weights["unknown"]

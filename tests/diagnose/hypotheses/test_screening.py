@@ -18,7 +18,7 @@ from drftjax.effects.rig import HorizontalCoulomb
 from drftjax.effects.sensor import SinkageGain
 from drftjax.effects.surface import SurfaceBump, SurfaceProfile
 from drftjax.effects.terrain import TerrainVariation, TerrainWave
-from tests.helpers.rig_datasets import dataset_with
+from tests.helpers.rig_datasets import WITHOUT_NEXT_RUN, dataset_with
 
 # A step of 2 ms at 0.3 rad/s.
 ONE_STEP = 0.6e-3
@@ -49,7 +49,8 @@ def test_a_large_play_is_found_though_no_derivative_at_zero_shows_the_way(pool):
 
 def test_another_form_of_an_effect_goes_by_its_name(tmp_path):
     wave = {"name": "terrain_wave", "cosine": 0.0, "sine": 0.15, "length": 0.15}
-    found = diagnose(dataset_with(wave), (TerrainVariation, TerrainWave))
+    effects = TerrainVariation, TerrainWave
+    found = diagnose(dataset_with(wave), effects, settings=WITHOUT_NEXT_RUN)
     assert found.chosen.names == ("terrain_wave",)
     assert found.verdict == ("terrain_variation",)
     assert found.weights["terrain_variation"] > SURE
@@ -96,7 +97,8 @@ def test_a_ripple_that_is_no_pure_sine_goes_by_its_name_and_numbers(pool):
 def test_a_scale_that_read_the_static_sinkage_wrongly_too_is_found():
     # z starts where the scale says; a wheel that lies deeper or less deep travels otherwise.
     gain = {"name": "sinkage_gain", "gain": 0.06}
-    found = diagnose(dataset_with(gain, scale=1.06), (SinkageGain, HorizontalCoulomb))
+    dataset = dataset_with(gain, scale=1.06)
+    found = diagnose(dataset, (SinkageGain, HorizontalCoulomb), settings=WITHOUT_NEXT_RUN)
     assert found.verdict == ("sinkage_gain",)
     assert found.weights["sinkage_gain"] > LIKELIER
     assert found.parameters["sinkage_gain"]["gain"].value == pytest.approx(0.06, rel=GAIN)
