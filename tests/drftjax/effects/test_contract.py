@@ -6,6 +6,7 @@ The runs start from a moving wheel: at rest a rounding decides which plates lead
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,11 +27,12 @@ from drftjax.effects.base import (
     StepContext,
 )
 from drftjax.effects.catalogue import OURS, catalogue, field_metadata, shapes, strengths
+from drftjax.physics.command import Command
 from drftjax.physics.rig import DrivenCarriage, Rig
 from drftjax.physics.state import State
 from drftjax.physics.stress import plate_motion
 from drftjax.runlog.hdf5.api import read_run
-from drftjax.simulation.rollout import simulate
+from drftjax.simulation.rollout import sweep
 from drftjax.simulation.statics import sinkage_under_load
 from tests.helpers.effect_runs import (
     GROUSERS,
@@ -66,6 +68,8 @@ SUMS = 1e-13
 FELT = 1e-8
 
 DT, STEPS, EVERY = 1e-3, 600, 20
+PROFILE_STEPS, PROFILE_EVERY = 4000, 400
+MOST_STEPS, MOST_ROWS = PROFILE_STEPS, STEPS // EVERY
 SPEED = 0.6
 OMEGA = SPEED * (1 + 0.3 * np.sin(2 * np.pi * np.arange(1, STEPS + 1) / STEPS))
 CHANNELS = ("x", "z", "fx", "fz", "torque")
@@ -81,14 +85,42 @@ RESTRUCTURED = ("height_decrease_arc",)
 effects = pytest.mark.parametrize("name", list(KNOWN))
 
 
-def readings(values, only=tuple(KNOWN)):
-    """Channels (5, rows) of a run with the effects at these numbers."""
-    sim = with_effects(GROUSERS, values, only)
-    output = rows(sim, START(), OMEGA, DT, EVERY)
-    return jnp.stack([getattr(output, name) for name in CHANNELS])
+class Drive(NamedTuple):
+    """A run: where it starts, and the wheel's speed [rad/s] at the end of each step of `dt` [s].
+
+    As many as `MOST_STEPS`, for one program; `rows` of `every` steps are made.
+    """
+
+    start: State
+    omega: jax.Array
+    dt: jax.Array
+    rows: jax.Array
+    every: jax.Array
 
 
-def driven_readings(values):
+def drive(start: State, omega: np.ndarray, dt: float, every: int) -> Drive:
+    counts = (jnp.asarray(each, int) for each in (len(omega) // every, every))
+    padded = jnp.asarray(np.pad(omega, (0, MOST_STEPS - len(omega)), mode="edge"))
+    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), start)
+    return Drive(start, padded, jnp.asarray(dt), *counts)
+
+
+def readings(values, run: Drive):
+    """Channels (5, 1 + MOST_ROWS) of a run with the effects at these numbers; zero past its end."""
+
+    def command(time):
+        omega = run.omega[jnp.maximum(jnp.round(time / run.dt).astype(int) - 1, 0)]
+        return Command(omega, jnp.zeros_like(omega), jnp.zeros_like(omega))
+
+    def keep(output):
+        return jnp.stack([getattr(output, name) for name in CHANNELS])
+
+    interval = run.dt * run.every.astype(float)
+    sim = with_effects(GROUSERS, values)
+    return sweep(sim, run.start, command, interval, run.every, run.rows, MOST_ROWS, keep)
+
+
+def driven_readings(values, _):
     """The same of a driven carriage that is given half of the rim's speed."""
     sim = replace(simulator(), rig=DRIVEN, effects=built(values, only=("carriage_gain",)))
     output = rows(sim, START(), OMEGA, DT, EVERY, 0.5 * OMEGA * sim.wheel.radius)
@@ -106,13 +138,17 @@ DIRECTIONS = np.stack([direction(k) for k in range(len(STRENGTHS))])
 
 
 @partial(jax.jit, static_argnums=0)
-def with_derivatives(run, table, directions):
+def with_derivatives(readings, table, directions, run):
     """Readings of a run at each row of a table, and their derivatives along each direction.
 
-    One program for the null and for the differences about it: all 58 effects take longer to
-    compile than to run.
+    One program for the null, the differences about it and the profiles: all 58 effects take longer
+    to compile than to run.
     """
-    return jax.vmap(lambda at, along: jax.jvp(run, (at,), (along,)))(table, directions)
+
+    def one(at, along):
+        return jax.jvp(lambda values: readings(values, run), (at,), (along,))
+
+    return jax.vmap(one)(table, directions)
 
 
 def at_shifted(change: float) -> tuple[np.ndarray, np.ndarray]:
@@ -124,10 +160,11 @@ def at_shifted(change: float) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         Both of shape (strengths, 5, rows).
     """
-    START()  # kept for later, so it must not be asked for first within a trace
+    run = drive(START(), OMEGA, DT, EVERY)
     table = NULL_VECTOR + change * DIRECTIONS
-    found = [np.array(each) for each in with_derivatives(readings, table, DIRECTIONS)]
-    of_driven = with_derivatives(driven_readings, table[ON_DRIVEN], DIRECTIONS[ON_DRIVEN])
+    both = with_derivatives(readings, table, DIRECTIONS, run)
+    found = [np.array(each[..., : 1 + STEPS // EVERY]) for each in both]
+    of_driven = with_derivatives(driven_readings, table[ON_DRIVEN], DIRECTIONS[ON_DRIVEN], None)
     for each, driven_one in zip(found, of_driven, strict=True):
         each[ON_DRIVEN] = driven_one
     return found[0], found[1]
@@ -285,29 +322,24 @@ PROFILES = {
     "30 deg/s": (6.0, (0, 0.5, 1.75, 4.25, 5.5, 6), (0, 0, 30, 30, 0, 0)),
     "300 deg/s": (5.0, (0, 0.5, 1.5, 3.5, 4.5, 5), (0, 0, 300, 300, 0, 0)),
 }
-PROFILE_STEPS = 4000
 # Of the time that a reference run takes.
 HASTE = 0.5
 
 
-@pytest.fixture(scope="module")
-def over_a_profile():
-    """Channels (5, rows), and their derivatives by every number of one effect."""
-
-    def one(values, along, dt, omega):
-        def run(values):
-            sim = with_effects(GROUSERS, values)
-            return simulate(sim, State.at_rest(0.0176), commands(omega), dt, every=400)[1]
-
-        pair = jax.jvp(run, (values,), (along,))
-        return tuple(jnp.stack([getattr(each, name) for name in CHANNELS]) for each in pair)
-
-    return jax.jit(jax.vmap(one, in_axes=(0, 0, None, None)))
+def over_a_profile(table, along, dt, omega):
+    """Channels (5, rows) by row of a table, and their derivatives along each direction."""
+    run = drive(State.at_rest(0.0176), omega, dt, PROFILE_EVERY)
+    # As many rows as elsewhere, for the same program.
+    spare = ((0, len(STRENGTHS) - len(table)), (0, 0))
+    given = (np.pad(np.stack(each), spare, mode="edge") for each in (table, along))
+    both = with_derivatives(readings, *given, run)
+    rows = PROFILE_STEPS // PROFILE_EVERY
+    return [np.asarray(each)[: len(table), :, 1 : 1 + rows] for each in both]
 
 
 @pytest.mark.parametrize("profile", list(PROFILES))
 def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drives(
-    profile, over_a_profile
+    profile,
 ):
     end, knots, speeds = PROFILES[profile]
     dt = end / PROFILE_STEPS
@@ -319,10 +351,8 @@ def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drive
         table.append(vector(**{name: half}))
         units = half | {field: float(getattr(effect(), field)) for field in shapes(effect)}
         along.append([units.get(f, 0.0) if n == name else 0.0 for n, f in NUMBERS])
-    values, changes = over_a_profile(
-        jnp.asarray(np.stack(table)), jnp.asarray(along), jnp.asarray(dt), jnp.asarray(omega)
-    )
-    driving = dt * 400 * np.arange(1, values.shape[2] + 1) < knots[3]
+    values, changes = over_a_profile(table, along, dt, omega)
+    driving = dt * PROFILE_EVERY * np.arange(1, values.shape[2] + 1) < knots[3]
     farthest = np.abs(values[:, 0]).max()
     for name, value, change in zip(ON_FREE, values, changes, strict=True):
         assert np.isfinite(value).all(), name
@@ -334,18 +364,14 @@ def test_derivatives_stay_finite_over_a_whole_profile_and_bounded_while_it_drive
 
 
 @pytest.mark.parametrize("name", ["paper", "fast_300deg"])
-def test_derivatives_at_the_null_are_finite_over_the_reference_profiles(
-    name, shared, over_a_profile
-):
+def test_derivatives_at_the_null_are_finite_over_the_reference_profiles(name, shared):
     command = read_run(shared / "reference_rigs" / f"{name}.h5").command
     time = HASTE * command.time
     dt = float(time[-1]) / PROFILE_STEPS
     omega = np.interp(dt * np.arange(1, PROFILE_STEPS + 1), time, command.omega)
-    table = jnp.asarray(np.stack([NULL_VECTOR] * len(ON_FREE)))
+    table = [NULL_VECTOR] * len(ON_FREE)
     along = [vector(**{each: typical(each)}) - NULL_VECTOR for each in ON_FREE]
-    values, changes = over_a_profile(
-        table, jnp.asarray(np.stack(along)), jnp.asarray(dt), jnp.asarray(omega)
-    )
+    values, changes = over_a_profile(table, along, dt, omega)
     np.testing.assert_array_equal(values, np.broadcast_to(values[0], values.shape))
     for effect, change in zip(ON_FREE, changes, strict=True):
         assert np.isfinite(change).all(), effect
