@@ -12,7 +12,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-UNREAD = ("jax", "equinox", "optimistix", "lineax", "scipy", "matplotlib", "rich", "typer", "h5py")
+UNREAD = (
+    *("jax", "equinox", "optimistix", "lineax", "scipy", "matplotlib", "rich", "typer", "h5py"),
+    *("arviz", "dask", "distributed", "ipykernel", "IPython", "prompt_toolkit", "xarray"),
+)
 PACKAGES = ("drftjax", "identify", "hils", "diagnose")
 ANSWERS = sorted((ROOT / "data" / "blind").glob("*.json"))
 
