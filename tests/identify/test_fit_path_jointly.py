@@ -18,7 +18,7 @@ from tests.studies.crosscheck import NOISE
 
 LAMBDA = "terrain.inertial_coefficient"
 TRUE_LAMBDA = 1.1
-STEP = 5e-4
+STEP = 1e-3
 TIME = (0.0, 0.2, 1.7, 2.1, 3.6, 3.8)
 KNOTS = np.linspace(0.0, 3.6, 5)
 SPACING = KNOTS[1]
@@ -105,7 +105,7 @@ def test_errors_are_those_of_all_coordinates_together(runs, found):
 
 def pulled(number: int, force: float) -> PreparedRun:
     """A run that a drawbar pulls back, and its set-up knows of drawbars."""
-    each = run(number, 20.0, 2 * STEP, effects=[{"name": "drawbar", "force": force}])
+    each = run(number, 20.0, STEP, effects=[{"name": "drawbar", "force": force}])
     add_fitted_effects(each.setup, ["drawbar.force"])
     return dataclasses.replace(each, trial=each.setup.trial(10 * STEP))
 
@@ -127,7 +127,7 @@ def test_each_run_may_have_a_number_of_its_own():
 
 
 def test_a_prior_holds_what_the_runs_do_not_tell():
-    slow = run(3, 5.0, 2 * STEP)
+    slow = run(3, 5.0, STEP)
     untold = fit_paths([slow], SPACING, [shared("lambda")])
     assert not untold.shared[LAMBDA].identified
     assert any("lambda cannot be identified" in each for each in untold.findings)
@@ -151,7 +151,7 @@ def test_what_a_path_finds_itself_is_refused(runs, name, said):
 
 
 def test_a_value_at_its_bound_is_said_to_be_and_a_run_outside_is_left_out():
-    runs = [run(number, 45.0, 2 * STEP) for number in range(2)]
+    runs = [run(number, 45.0, STEP) for number in range(2)]
     write = shared("lambda").quantity.write
     within, beyond = (
         dataclasses.replace(each, trial=write(each.trial, jnp.asarray(value)))
