@@ -29,8 +29,7 @@ os.environ |= {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "jax"),
     # The least of them, too: every file of tests asks for the same hundred small ones.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-    # Where in the source an operation stands is of no use to a compiled program, and takes a tenth of
-    # the time of tracing it.
+    # A compiled program needs no places in the source, which take a tenth of the time of a trace.
     "JAX_TRACEBACK_IN_LOCATIONS_LIMIT": "0",
     "MPLBACKEND": "agg",
     # As `drft` and the workers of a cluster have it: sums of other threads round otherwise.
