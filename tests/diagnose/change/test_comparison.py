@@ -28,10 +28,10 @@ from tests.helpers.synthetic_runs import recorded, setup_of
 
 # Two of one command, and two others; seconds and rad/s.
 PROFILES = (
-    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 4.0], [0.0, 0.0, 0.5, 0.5]),
-    ([0.0, 0.3, 1.3, 3.0], [0.0, 0.0, 0.9, 0.9]),
-    ([0.0, 0.3, 1.3, 5.0], [0.0, 0.0, 0.3, 0.3]),
+    ([0.0, 0.3, 1.0, 3.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.0, 3.0], [0.0, 0.0, 0.5, 0.5]),
+    ([0.0, 0.3, 1.0, 2.2], [0.0, 0.0, 0.9, 0.9]),
+    ([0.0, 0.3, 1.0, 3.5], [0.0, 0.0, 0.3, 0.3]),
 )
 # Sand of which no reference model knows, with a heap ahead, before and now.
 SHARED = [{"name": "depth_power", "excess": 0.25}, {"name": "heap", "resistance": 3.0}]
