@@ -129,10 +129,8 @@ class RigDataset:
 
         A long run that came last would leave other cores idle. `work` must not use the pool.
         """
-        trials, observed = self.batch.trials, self.batch.observed
-        parts, rows = (np.asarray(each) for each in (trials.parts, observed.compared_rows))
-        steps = np.where(np.arange(parts.shape[1]) < rows[:, None], parts, 0).sum(axis=1)
-        order = np.argsort(-steps[: len(self.runs)], kind="stable").tolist()
+        steps = self.batch.observed.compared_rows * self.batch.trials.parts
+        order = np.argsort(-np.asarray(steps)[: len(self.runs)], kind="stable").tolist()
         found = dict(zip(order, pool.map(work, order), strict=True))
         return [found[run] for run in self.run_numbers]
 
@@ -411,7 +409,7 @@ def without_step_errors(
         rows = [dataset.channels.index(name) for name in each.observation.channels]
         return replace(
             each,
-            trial=replace(each.trial, parts=parts[: each.trial.rows]),
+            trial=eqx.tree_at(lambda t: t.parts, each.trial, parts),
             observation=replace(each.observation, step_error=error[rows]),
         )
 

@@ -59,7 +59,7 @@ def sweep(
     state: State,
     command: Callable[[Float[Array, ""]], Command],
     interval: Float[Array, ""],
-    parts: Int[Array, "*room"],
+    parts: Int[Array, ""],
     rows: Int[Array, ""],
     room: int,
     keep: Callable[[Output], Float[Array, " kept"]],
@@ -73,7 +73,7 @@ def sweep(
         state: State at the start.
         command: Command at a time [s].
         interval: Time between rows [s].
-        parts: Steps that each interval is made in, shape (room,), or one number for all.
+        parts: Steps that an interval is made in.
         rows: Rows to make, at most `room`.
         room: Rows that the table has room for (static).
         keep: Values kept of each row, shape (kept,).
@@ -88,18 +88,16 @@ def sweep(
     state = simulator.remembered(state, first)
     begun = keep(simulator.observe(state, first))
     table = jnp.zeros((room + 1, begun.shape[0]), begun.dtype).at[0].set(begun)
-    parts = jnp.broadcast_to(parts, (room,))
+    dt = interval / parts.astype(interval.dtype)
+
+    def step(number: Int[Array, ""], both: tuple[State, Array]) -> tuple[State, Array]:
+        state, output = simulator.step(both[0], command((number + 1).astype(dt.dtype) * dt), dt)
+        return state, keep(output)
 
     # The step stands in the program once: its compilation is most of what a short run costs.
     def row(number: Int[Array, ""], carried: tuple[State, Array]) -> tuple[State, Array]:
         state, table = carried
-        first, dt = number * parts[number], interval / parts[number].astype(interval.dtype)
-
-        def step(place: Int[Array, ""], both: tuple[State, Array]) -> tuple[State, Array]:
-            state, output = simulator.step(both[0], command((place + 1).astype(dt.dtype) * dt), dt)
-            return state, keep(output)
-
-        both = jax.lax.fori_loop(first, first + parts[number], step, (state, begun))
+        both = jax.lax.fori_loop(number * parts, (number + 1) * parts, step, (state, begun))
         return both[0], table.at[number + 1].set(both[1])
 
     return jax.lax.fori_loop(0, rows, row, (state, table))[1].T

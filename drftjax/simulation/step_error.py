@@ -6,10 +6,8 @@ was chosen for its run, and takes off what far shorter steps say that this is wr
 those of short steps at the cost of long ones.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 from jaxtyping import Int
@@ -24,13 +22,10 @@ class StepErrorSettings:
     Attributes:
         turn: Angle that a wheel turns by in a step at most [rad]: a tenth of a degree, well under
             that over which a plate of a rolling wheel begins to lead (3e-3).
-        slowing_down: Time constant with which a wheel is taken to slow down at least [s]: behind
-            its command it turns on for a while, as with a drive that lags.
         refinement: Steps in place of one at least, an even number.
     """
 
     turn: float = 1.75e-3
-    slowing_down: float = 0.3
     refinement: int = 4
 
 
@@ -39,24 +34,15 @@ DEFAULT_STEP_ERROR = StepErrorSettings()
 
 def parts_within_turn(
     trials: Trial, settings: StepErrorSettings = DEFAULT_STEP_ERROR
-) -> Int[np.ndarray, "*runs rows"]:
-    """Steps to be made in place of one by row, so that none turns the wheel by more than `turn`.
+) -> Int[np.ndarray, "*runs"]:
+    """Steps to be made in place of one, so that none turns the wheel by more than `turn`.
 
     Args:
         trials: A trial, or several stacked along a leading axis of runs.
         settings: Numbers of the shorter steps.
     """
-    steps, speeds = np.asarray(trials.step), trials.speed()
-    found = []
-    for run in np.ndindex(steps.shape):
-        interval = trials.every * steps[run]
-        ends = interval * np.arange(trials.rows + 1)
-        speed = np.interp(ends, np.asarray(trials.time)[run], speeds[run])
-        kept = math.exp(-interval / settings.slowing_down)
-        fastest = np.array([*accumulate(speed, lambda seen, now, kept=kept: max(now, kept * seen))])
-        turned = steps[run] * np.maximum(fastest[1:], fastest[:-1])
-        found.append(np.maximum(1, np.ceil(turned / settings.turn)))
-    return np.reshape(found, (*steps.shape, trials.rows)).astype(int)
+    turned = np.asarray(trials.step) * trials.top_speed()
+    return np.maximum(1, np.ceil(turned / settings.turn)).astype(int)
 
 
 def step_error(
@@ -67,7 +53,7 @@ def step_error(
     """Simulated channels less those of far shorter steps, extrapolated (Richardson).
 
     Args:
-        simulated: Channels with so many steps in place of one, by run and row.
+        simulated: Channels with so many steps in place of one, by run.
         trials: A trial, or several stacked along a leading axis of runs.
         settings: Numbers of the shorter steps.
 

@@ -37,7 +37,7 @@ class Trial(eqx.Module):
         step: Integrator step [s].
         every: Steps from one row of the output to the next.
         rows: Rows of the output after the first, to the end of the command or past it.
-        parts: Steps that `run_to` makes in place of one, shape (rows,) by row, or () for all.
+        parts: Steps that `run_to` makes in place of one.
     """
 
     simulator: Simulator
@@ -48,7 +48,7 @@ class Trial(eqx.Module):
     step: Float[Array, ""]
     every: int = eqx.field(static=True)
     rows: int = eqx.field(static=True)
-    parts: Int[Array, "*rows"] = eqx.field(converter=partial(jnp.asarray, dtype=int), default=1)
+    parts: Int[Array, ""] = eqx.field(converter=partial(jnp.asarray, dtype=int), default=1)
 
     @classmethod
     def of(
@@ -107,15 +107,13 @@ class Trial(eqx.Module):
         The run is made with the step and with half of it; twice the second less the first has an
         error of second order (Richardson).
         """
-        parts = self.every * self.parts
+        parts = self.every * self.parts * jnp.asarray([1, 2])
         # One after the other, so that the step stands in the program once.
-        coarse, fine = jax.lax.map(
-            lambda times: self._swept(times * parts, rows, channels), jnp.asarray([1, 2])
-        )
+        coarse, fine = jax.lax.map(lambda each: self._swept(each, rows, channels), parts)
         return 2 * fine - coarse
 
     def _swept(
-        self, parts: Int[Array, "*rows"], rows: Int[Array, ""], channels: tuple[str, ...]
+        self, parts: Int[Array, ""], rows: Int[Array, ""], channels: tuple[str, ...]
     ) -> Float[Array, "channels _"]:
         def keep(output: Output) -> Float[Array, " channels"]:
             return jnp.stack([getattr(output, each) for each in channels])
@@ -124,14 +122,13 @@ class Trial(eqx.Module):
         start = self.simulator, self.start, self.command, interval, parts, rows, self.rows
         return sweep(*start, keep)
 
-    def speed(self) -> Float[np.ndarray, "*runs knots"]:
-        """How fast the wheel turns, or would beside a carriage that slips by nothing [rad/s].
+    def top_speed(self) -> Float[np.ndarray, "*runs"]:
+        """Fastest that the wheel turns, or would beside a carriage that slips by nothing [rad/s].
 
-        Without a sign, at the command's knots; of several trials stacked along a leading axis, of
-        each.
+        Of several trials stacked along a leading axis, of each.
         """
         radius = np.asarray(self.simulator.wheel.radius)[..., None]
-        return np.maximum(np.abs(self.omega), np.abs(self.vx) / radius)
+        return np.maximum(np.abs(self.omega), np.abs(self.vx) / radius).max(axis=-1)
 
     def command(self, time: Float[Array, ""]) -> Command:
         """The command at a time [s]."""
@@ -157,9 +154,7 @@ def pad_trial(trial: Trial, rows: int, knots: int) -> Trial:
     later = time[-1] + np.arange(1, missing + 1).astype(float)
     hold = lambda values: jnp.asarray(np.pad(values, (0, missing), mode="edge"))  # noqa: E731
     longer = jnp.asarray(np.concatenate([time, later]))
-    parts = np.broadcast_to(np.asarray(trial.parts), (trial.rows,))[:rows]
-    parts = np.pad(parts, (0, rows - len(parts)), constant_values=1)
-    return replace(trial, time=longer, omega=hold(omega), vx=hold(vx), rows=rows, parts=parts)
+    return replace(trial, time=longer, omega=hold(omega), vx=hold(vx), rows=rows)
 
 
 def pad_to_shared_size(trial: Trial) -> Trial:
