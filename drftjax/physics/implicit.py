@@ -96,10 +96,6 @@ class AbstractBalance(eqx.Module):
         """Speed [m/s] that the tolerance of the search is a share of."""
 
     @abc.abstractmethod
-    def bending_speed(self) -> Float[Array, ""]:
-        """Change of velocity [m/s] far within which the forces are linear in it."""
-
-    @abc.abstractmethod
     def size(self, residual: Pair) -> Float[Array, ""]:
         """Residual as a velocity [m/s], over the axes that are free."""
 
@@ -110,8 +106,6 @@ class NewtonSettings(eqx.Module):
     Attributes:
         tolerance: A change of velocity, as a share of the balance's scale, below which the root is
             found: for the paper's wheel a thousandth of a millimetre in 100 s.
-        linear: A Newton step that is shorter than this share of the speed over which forces bend
-            ends the search, too: what it leaves is of second order, a ten-thousandth of that speed.
         most_evaluations: Evaluations of the force at most. A wheel that rolls needs 2 to 4, one
             that is stopped within a step some 20.
         shrink: Factor on the part of a Newton step that is tried next where the residual does not
@@ -123,7 +117,6 @@ class NewtonSettings(eqx.Module):
     """
 
     tolerance: float = eqx.field(static=True, default=1e-8)
-    linear: float = eqx.field(static=True, default=1e-2)
     most_evaluations: int = eqx.field(static=True, default=60)
     shrink: float = eqx.field(static=True, default=0.3)
     grow: float = eqx.field(static=True, default=2.0)
@@ -141,7 +134,7 @@ class Root(eqx.Module):
         jacobian: Derivative of the residual by the velocity [kg], at the last evaluation.
         forces_slope: Derivative of the forces by the velocity [their unit s/m], there.
         evaluations: Evaluations of the force.
-        found: Whether the last change of velocity was short enough.
+        found: Whether the last change of velocity was under the tolerance.
     """
 
     velocity: Pair
@@ -183,14 +176,12 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
     """
 
     tolerance = settings.tolerance * balance.speed_scale()
-    within_reach = jnp.maximum(tolerance, settings.linear * balance.bending_speed())
 
-    def is_last(step: Pair) -> Bool[Array, ""]:
-        return jnp.max(jnp.abs(step)) < within_reach
+    def is_short(step: Pair) -> Bool[Array, ""]:
+        return jnp.max(jnp.abs(step)) < tolerance
 
-    def judged(root: Root, step: Pair, part: Array) -> Root:
-        found = is_last(step) | (part * jnp.max(jnp.abs(step)) < tolerance)
-        return eqx.tree_at(lambda r: r.found, root, found)
+    def judged(root: Root, step: Pair) -> Root:
+        return eqx.tree_at(lambda r: r.found, root, is_short(step))
 
     def step_of(root: Root) -> Pair:
         return -balance.solve(root.jacobian, root.residual)
@@ -210,7 +201,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         step = jnp.where(accepted, step_of(root), step)
         grown = jnp.minimum(1, settings.grow * part)
         part = jnp.where(accepted, grown, settings.shrink * part).astype(part.dtype)
-        return judged(root, step, part), step, part
+        return judged(root, part * step), step, part
 
     # The first turn is at the guess, and is accepted: so the force stands in the program once.
     first = Root(
@@ -224,7 +215,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
     )
     begun = first, jnp.zeros_like(guess), jnp.ones((), guess.dtype)
     root, step, _ = jax.lax.while_loop(going_on, turn, begun)
-    step = jnp.where(is_last(step), step, 0)
+    step = jnp.where(is_short(step), step, 0)
     ends = root.velocity + step, root.forces + root.forces_slope @ step
     return eqx.tree_at(lambda r: (r.velocity, r.forces), root, ends)
 

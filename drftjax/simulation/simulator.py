@@ -396,11 +396,6 @@ class StepBalance(AbstractBalance):
     def speed_scale(self) -> Float[Array, ""]:
         return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
 
-    def bending_speed(self) -> Float[Array, ""]:
-        simulator, moment = self.simulator, self.moment
-        gravity = simulator.rig.gravity
-        return simulator.integrator.rest_speed(moment.radius, gravity, moment.omega)
-
     def size(self, residual: Float[Array, "2"]) -> Float[Array, ""]:
         speed = residual / self.simulator.rig.mass()
         free = isinstance(self.simulator.rig.carriage, FreeCarriage)

@@ -9,8 +9,6 @@ import numpy as np
 
 from drftjax.effects.catalogue import OURS, field_metadata, strengths
 from drftjax.physics.command import Command
-from drftjax.physics.implicit import NewtonSettings
-from drftjax.physics.integrator import ImplicitEuler
 from drftjax.physics.state import Output, State
 from drftjax.physics.stress import AbstractStressLaw, Dynamic
 from drftjax.physics.terrain import Terrain
@@ -18,8 +16,6 @@ from drftjax.physics.wheel import AbstractWheel, GrouserWheel, PlainWheel
 from drftjax.simulation.rollout import simulate, with_first_row
 from drftjax.simulation.simulator import Simulator
 
-# Differences by changes of a ten-millionth need roots to rounding, not by a last step's slope.
-TO_ROUNDING = ImplicitEuler(NewtonSettings(linear=0.0))
 # Coarse plates, so that tests are quick.
 GROUSERS = GrouserWheel(plate_size=0.010)
 RIM = PlainWheel(plate_size=0.005)
@@ -57,8 +53,7 @@ def built(values, leave_out: tuple[str, ...] = (), only: tuple[str, ...] = tuple
 
 
 def simulator(wheel: AbstractWheel = GROUSERS, law: AbstractStressLaw | None = None) -> Simulator:
-    terrain = Terrain(law=Dynamic() if law is None else law)
-    return Simulator(wheel, terrain, integrator=TO_ROUNDING)
+    return Simulator(wheel, Terrain(law=Dynamic() if law is None else law))
 
 
 def commands(omega, vx=0.0) -> Command:
