@@ -9,7 +9,7 @@ $$\mathbf G(\mathbf v) = M(\mathbf v - \mathbf v_0) - h\,\mathbf F(\mathbf x_0 +
 
 found by Newton's method with step halving. Quasi-static motion is proportional to the angular
 velocity, so the last velocity times the change of angular velocity starts it close by; what the
-step before missed by that, per time, is added.
+step before missed by that, per time, is added, but past a fold, where it may lead to another root.
 
 Derivatives by anything that the step depends on follow from the implicit function theorem at the
 root, $\partial\mathbf v = -(\partial\mathbf G/\partial\mathbf v)^{-1}\,\partial\mathbf G$: one

@@ -22,7 +22,7 @@ class State(eqx.Module):
         growth: Most that a derivative by the velocity has grown by since it last was as small as
             it began [-]; see `drftjax.physics.implicit`.
         trend: By how much more than its angular velocity says the wheel sped up in the last step,
-            (x, z) [m/s2]: where the search for the next velocity begins, and no more.
+            (x, z) [m/s2]; zero past a fold. The search for the next velocity begins with it.
     """
 
     time: Float[Array, ""]

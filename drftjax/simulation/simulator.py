@@ -210,7 +210,8 @@ class Simulator(eqx.Module):
         grown = jnp.minimum(balance.growth(root.jacobian).max(), balance.largest_growth())
         grown = jax.lax.stop_gradient(jnp.maximum(state.growth * grown, 1))
         after, output = self._moved(state, velocity, sand, memory, moment, zeta)
-        trend = jax.lax.stop_gradient((velocity - quasi_static) / dt)
+        # Past a fold of the balance the last velocity itself stays on its branch.
+        trend = jnp.where(grown > 1, 0, jax.lax.stop_gradient((velocity - quasi_static) / dt))
         return dataclasses.replace(after, growth=grown, trend=trend), output
 
     def _moved(
