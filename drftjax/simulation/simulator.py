@@ -179,10 +179,13 @@ class Simulator(eqx.Module):
         load = self.plate_load(position, velocity, angle, omega, zeta, memory)
         return jnp.stack(sums_over_plates(load.wrenches()))
 
+    @eqx.filter_jit
     def step(
         self, state: State, command: Command, dt: Float[Array, ""] | float
     ) -> tuple[State, Output]:
         """One implicit step: the velocity at its end balances the forces there.
+
+        Compiled by itself, so that all loops and derivatives of one simulator share its trace.
 
         Args:
             state: State at the start of the step.
