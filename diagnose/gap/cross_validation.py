@@ -1,10 +1,10 @@
 """Cross-validation of effects by condition: each condition predicted from the runs of the others.
 
-All runs of one command and load are held out together. The effect's numbers move to where the other
-runs alone would have them, by one Gauss-Newton step from the fit to all runs rather than by a new
-fit, and the held-out runs are simulated with these. Two things are not cross-validated: the choice
-of effects to try, which was made on all runs, and each run's own zeta, which is fitted to it, as
-sand is never prepared twice alike and no effect can predict it.
+All runs of one command and load are held out together. The effect's numbers move from the fit to
+all runs by what Gauss-Newton steps of the other runs and of all propose differently, rather than by
+a new fit, and the held-out runs are simulated with these. Two things are not cross-validated: the
+choice of effects to try, which was made on all runs, and each run's own zeta, which is fitted to
+it, as sand is never prepared twice alike and no effect can predict it.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.refinement import gauss_newton_step
+from diagnose.hypotheses.refinement import change_without
 from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings, fit_linear
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
@@ -44,8 +44,10 @@ def predict_held_out(
     r"""Predict every condition with numbers fitted to the runs of the others.
 
     With all runs' numbers $\theta$, the numbers without a condition are
-    $\theta - H_{-c}^{-1} g_{-c}$: one Gauss-Newton step with the gradient g and the curvature H of
-    the other runs. Each of the condition's runs then takes the zeta that fits it best there.
+    $\theta - H_{-c}^{-1} g_{-c} + H^{-1} g$, with the gradient g and the curvature H of the other
+    runs and of all. Where $\theta$ suits all runs best, $H^{-1} g$ is zero; elsewhere it is a step
+    that simulations did not confirm. Each of the condition's runs then takes the zeta that fits it
+    best there.
 
     Args:
         regressors: Of the dataset.
@@ -68,9 +70,7 @@ def predict_held_out(
         others = np.setdiff1d(np.arange(len(log_zeta)), group)
         if others.size == 0:
             continue
-        _, move = gauss_newton_step(
-            hypothesis, products.of_runs(others), settings=regressors.settings
-        )
+        move = change_without(hypothesis, products, others, regressors.settings)
         for run in group:
             log_zeta[run] += _own_zeta_step(products, run, move, regressors.settings)
             coordinates[run] += move

@@ -155,12 +155,43 @@ def gauss_newton_step(
         Change of the runs' log zeta [-], shape (runs,), and of the coordinates, shape (free,).
     """
     fit = _fit_about(here, matrices, inflation, settings)
+    return _shortened(here, fit.log_zeta_change, fit.coefficients, settings)
+
+
+def change_without(
+    here: Hypothesis,
+    matrices: GramMatrices,
+    kept: np.ndarray,
+    settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
+) -> np.ndarray:
+    """Change of a hypothesis's coordinates where only some of its runs count, shape (free,).
+
+    What linear fits to these and to all runs propose differently: a step that both propose was
+    not worth making, and says nothing of the runs left out.
+
+    Args:
+        here: The hypothesis, fitted to all runs.
+        matrices: Gram matrices of its columns and residuals.
+        kept: Numbers of the runs that count.
+        settings: Weights of the fit, and the longest step.
+    """
+    some, every = (
+        _fit_about(here, each, 1.0, settings) for each in (matrices.of_runs(kept), matrices)
+    )
+    zeta = some.log_zeta_change - every.log_zeta_change[kept]
+    change = _shortened(here, zeta, some.coefficients - every.coefficients, settings)[1]
+    return np.maximum(change, least_changes(here))
+
+
+def _shortened(
+    here: Hypothesis, log_zeta: np.ndarray, coordinates: np.ndarray, settings: LinearFitSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """A step with no logarithm further than a linear response is trusted."""
     logarithmic = np.array([f.scale is None for f in here.model.free], bool)
     # The whole step is shortened, or the numbers that belong together would part.
-    steps = np.r_[fit.log_zeta_change, fit.coefficients[logarithmic]]
-    longest = np.abs(steps).max(initial=0.0)
+    longest = np.abs(np.r_[log_zeta, coordinates[logarithmic]]).max(initial=0.0)
     part = min(1.0, settings.max_log_step / max(longest, 1e-12))
-    return part * fit.log_zeta_change, part * fit.coefficients
+    return part * log_zeta, part * coordinates
 
 
 def predicted_score(regressors: Regressors, here: Hypothesis, pool: RunPool) -> float:

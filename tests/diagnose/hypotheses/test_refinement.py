@@ -1,27 +1,47 @@
-"""Refinement by simulation: where a step that gains nothing is gone on from."""
+"""Refinement by simulation: detours, and numbers without some of the runs."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from diagnose.dataset import match_initial_zeta
+from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.hypotheses import refinement
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
-from diagnose.hypotheses.refinement import RefinementSettings, refine
+from diagnose.hypotheses.refinement import (
+    RefinementSettings,
+    change_without,
+    gauss_newton_step,
+    refine,
+)
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
 FAR = RefinementSettings().min_detour
+# A linear fit about all runs' numbers, over a new fit: the responses change a little on the way.
+LINEAR = 0.1
+# Far from the optimum the blocks are weighed anew, which moves what is left of the step.
+WEIGHED_ANEW = 0.3
+
+
+def fitted(dataset: RigDataset, simulations: int, pool: RunPool) -> tuple[Regressors, Hypothesis]:
+    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
+    regressors = Regressors.of(dataset, linearized, [effect_class("drawbar")], pool)
+    begun = linear_start(regressors, regressors.variants)
+    return regressors, refine(regressors, begun, simulations, pool)
 
 
 @pytest.fixture(scope="module")
-def start(pool) -> tuple[Regressors, Hypothesis]:
-    dataset = dataset_with({"name": "drawbar", "force": 3.0})
-    linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
-    regressors = Regressors.of(dataset, linearized, [effect_class("drawbar")], pool)
-    return regressors, refine(regressors, linear_start(regressors, regressors.variants), 1, pool)
+def pulled() -> RigDataset:
+    return dataset_with({"name": "drawbar", "force": 3.0})
+
+
+@pytest.fixture(scope="module")
+def start(pulled, pool) -> tuple[Regressors, Hypothesis]:
+    return fitted(pulled, 1, pool)
 
 
 @pytest.mark.parametrize(("moved_by", "goes_on"), [(0.5 * FAR, 0), (2 * FAR, 1)])
@@ -50,3 +70,27 @@ def test_a_step_that_moves_zetas_far_is_gone_on_from_once(
     away = [float((each.log_zeta - first.log_zeta).max()) for each in begun_at]
     assert away == pytest.approx([0.0, goes_on * moved_by, 0.0])
     assert found.score == first.score + 5.0
+
+
+def test_numbers_without_a_condition_are_those_of_a_fit_without_it(pulled, pool):
+    """Also where the numbers are off what suits all runs: that is no fault of the condition."""
+    regressors, settled = fitted(pulled, 3, pool)
+    off = 0.3
+    columns, residual = settled.columns, settled.residual
+    away = replace(
+        settled,
+        coordinates=settled.coordinates + off,
+        residual=[r + off * c[:, :, 1] for r, c in zip(residual, columns, strict=True)],
+    )
+    of_settled, of_away = (
+        regressors.gram_matrices_of(each.columns, each.residual, each.log_zeta, pool)
+        for each in (settled, away)
+    )
+    for kept in (np.array([0, 1]), np.array([2])):
+        alone = RigDataset.of([pulled.runs[run] for run in kept])
+        change = fitted(alone, 3, pool)[1].coordinates - settled.coordinates
+        assert change_without(settled, of_settled, kept) == pytest.approx(change, rel=LINEAR)
+        assert change_without(away, of_away, kept) == pytest.approx(change, rel=WEIGHED_ANEW)
+        # One step from there would make up for where it began instead.
+        step = gauss_newton_step(away, of_away.of_runs(kept))[1]
+        assert abs(step[0]) > 0.9 * off > 100 * abs(change[0])
