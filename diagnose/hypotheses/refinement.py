@@ -167,7 +167,8 @@ def change_without(
     """Change of a hypothesis's coordinates where only some of its runs count, shape (free,).
 
     What linear fits to these and to all runs propose differently: a step that both propose was
-    not worth making, and says nothing of the runs left out.
+    not worth making, and says nothing of the runs left out. Where nothing was simulated, no step
+    was made yet, and that of the runs that count is all there is.
 
     Args:
         here: The hypothesis, fitted to all runs.
@@ -175,6 +176,8 @@ def change_without(
         kept: Numbers of the runs that count.
         settings: Weights of the fit, and the longest step.
     """
+    if not here.is_simulated:
+        return gauss_newton_step(here, matrices.of_runs(kept), settings=settings)[1]
     some, every = (
         _fit_about(here, each, 1.0, settings) for each in (matrices.of_runs(kept), matrices)
     )

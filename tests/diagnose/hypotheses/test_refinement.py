@@ -94,3 +94,15 @@ def test_numbers_without_a_condition_are_those_of_a_fit_without_it(pulled, pool)
         # One step from there would make up for where it began instead.
         step = gauss_newton_step(away, of_away.of_runs(kept))[1]
         assert abs(step[0]) > 0.9 * off > 100 * abs(change[0])
+
+
+def test_numbers_that_were_never_simulated_are_those_that_the_other_runs_propose(start, pool):
+    regressors, _ = start
+    proposed = linear_start(regressors, regressors.variants)
+    matrices = regressors.gram_matrices_of(
+        proposed.columns, proposed.residual, proposed.log_zeta, pool
+    )
+    kept = np.array([0, 1])
+    step = gauss_newton_step(proposed, matrices.of_runs(kept))[1]
+    assert abs(step[0]) > 0.1
+    assert change_without(proposed, matrices, kept) == pytest.approx(step, rel=1e-12)
