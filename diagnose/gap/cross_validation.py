@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.refinement import change_without
+from diagnose.hypotheses.refinement import changes_without
 from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings, fit_linear
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
@@ -64,13 +64,13 @@ def predict_held_out(
     products = regressors.gram_matrices_of(
         hypothesis.columns, hypothesis.residual, hypothesis.log_zeta, pool
     )
+    dataset, every = regressors.dataset, np.arange(len(log_zeta))
+    groups = [(g, np.setdiff1d(every, g)) for g in group_by_condition(dataset.runs)]
+    groups = [(group, others) for group, others in groups if others.size]
+    kept = [others for _, others in groups]
+    moves = changes_without(hypothesis, products, kept, regressors.settings)
     held_out: set[int] = set()
-    dataset = regressors.dataset
-    for group in group_by_condition(dataset.runs):
-        others = np.setdiff1d(np.arange(len(log_zeta)), group)
-        if others.size == 0:
-            continue
-        move = change_without(hypothesis, products, others, regressors.settings)
+    for (group, _), move in zip(groups, moves, strict=True):
         for run in group:
             log_zeta[run] += _own_zeta_step(products, run, move, regressors.settings)
             coordinates[run] += move

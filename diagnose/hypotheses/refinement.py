@@ -11,6 +11,7 @@ so that a few simulations settle a hypothesis even far from the null. p is in th
 `RefinementSettings`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -158,13 +159,13 @@ def gauss_newton_step(
     return _shortened(here, fit.log_zeta_change, fit.coefficients, settings)
 
 
-def change_without(
+def changes_without(
     here: Hypothesis,
     matrices: GramMatrices,
-    kept: np.ndarray,
+    kept: Sequence[np.ndarray],
     settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
-) -> np.ndarray:
-    """Change of a hypothesis's coordinates where only some of its runs count, shape (free,).
+) -> list[np.ndarray]:
+    """Changes of a hypothesis's coordinates where only some of its runs count.
 
     What linear fits to these and to all runs propose differently: a step that both propose was
     not worth making, and says nothing of the runs left out. Where nothing was simulated, no step
@@ -173,17 +174,23 @@ def change_without(
     Args:
         here: The hypothesis, fitted to all runs.
         matrices: Gram matrices of its columns and residuals.
-        kept: Numbers of the runs that count.
+        kept: Numbers of the runs that count, for each change.
         settings: Weights of the fit, and the longest step.
+
+    Returns:
+        For each of `kept`, in the coordinates' units, shape (free,).
     """
+    some = [matrices.of_runs(runs) for runs in kept]
     if not here.is_simulated:
-        return gauss_newton_step(here, matrices.of_runs(kept), settings=settings)[1]
-    some, every = (
-        _fit_about(here, each, 1.0, settings) for each in (matrices.of_runs(kept), matrices)
-    )
-    zeta = some.log_zeta_change - every.log_zeta_change[kept]
-    change = _shortened(here, zeta, some.coefficients - every.coefficients, settings)[1]
-    return np.maximum(change, least_changes(here))
+        return [gauss_newton_step(here, each, settings=settings)[1] for each in some]
+    every = _fit_about(here, matrices, 1.0, settings)
+    found = []
+    for runs, each in zip(kept, some, strict=True):
+        fit = _fit_about(here, each, 1.0, settings)
+        zeta = fit.log_zeta_change - every.log_zeta_change[runs]
+        change = _shortened(here, zeta, fit.coefficients - every.coefficients, settings)[1]
+        found.append(np.maximum(change, least_changes(here)))
+    return found
 
 
 def _shortened(

@@ -52,8 +52,8 @@ NEARLY_ALL, NEXT_TO_NOTHING = 0.9, 0.1
 # A curve's six knots are told by three runs of a few seconds: its slope by a twentieth of itself,
 # and where a run ends by less than that of the gap.
 SLOPE, CLOSED = 0.0075, 0.05
-# At zero strength both programs compute the same; a compiler rounds a product and a sum once or
-# twice, as the code around them is.
+# A curve of zeros is zero to the bit, and so is what it changes. A compiler rounds a product and
+# its sum once in one program, and twice in the other.
 ROUNDED = 2
 # A wheel's load ripples by some per cent as plates come and go; a median is closer.
 CARRIED = 0.03
@@ -216,6 +216,7 @@ def test_a_correction_is_an_effect_like_any(stage, variable, knots):
     knots = tuple(np.arange(KNOTS) * 2 * np.pi / KNOTS) if knots is None else knots
     kind = correction_class(stage, variable, knots)
     assert kind is correction_class(stage, variable, list(knots))
+    assert not np.any(jnp.stack([kind().at(at) for at in jnp.linspace(-1.0, 7.0, 9)]))
     for null, reference in zip(with_(kind), plain(), strict=True):
         np.testing.assert_array_max_ulp(null, reference, maxulp=ROUNDED)
     small = 0.01 * field_metadata(kind)["at_1"]["typical"]
