@@ -372,14 +372,25 @@ def match_initial_zeta(
     return np.array(dataset.map(pool, lambda run: _initial_zeta(dataset, run, settings)))
 
 
+def in_short_steps(dataset: RigDataset) -> RigDataset:
+    """The dataset whose simulations turn a wheel by little in a step.
+
+    Numbers far from those at which the error of longer steps was found change this error.
+    """
+
+    def shortened(each: PreparedRun) -> PreparedRun:
+        parts = jnp.asarray(parts_within_turn(each.trial), each.trial.parts.dtype)
+        return replace(each, trial=eqx.tree_at(lambda t: t.parts, each.trial, parts))
+
+    return RigDataset.of([shortened(each) for each in dataset.runs], dataset.settings)
+
+
 def without_step_errors(
     dataset: RigDataset, pool: RunPool, settings: InitialZetaSettings = DEFAULT_INITIAL_ZETA
 ) -> RigDataset:
     """The dataset whose simulated channels are those of far shorter steps.
 
-    A run is simulated in steps that turn its wheel by little, as effects change what longer ones
-    are wrong by. What is left of the error is found with the reference model at the run's early
-    mean sinkage.
+    What its steps are wrong by is found with the reference model at the run's early mean sinkage.
 
     Args:
         dataset: The runs.
@@ -391,29 +402,61 @@ def without_step_errors(
         RunError: where a run cannot be simulated, or zeta does not change its sinkage.
     """
     log_zeta = match_initial_zeta(dataset, pool, settings)
+    nothing = np.zeros(0)
+    return with_step_errors(
+        dataset, step_errors(dataset, AugmentedModel(), log_zeta, nothing, pool)
+    )
 
-    def corrected(run: int) -> PreparedRun:
-        each, trial = dataset.runs[run], dataset.trials[run]
-        parts = jnp.asarray(parts_within_turn(trial), trial.parts.dtype)
-        trial = eqx.tree_at(lambda t: t.parts, trial, parts)
-        plain = jnp.zeros_like(dataset.observations[run].step_error)
-        observed = eqx.tree_at(lambda o: o.step_error, dataset.observations[run], plain)
-        observed = eqx.tree_at(lambda o: o.compared_rows, observed, observed.all_rows)
+
+def step_errors(
+    dataset: RigDataset,
+    model: AugmentedModel,
+    log_zeta: np.ndarray,
+    coordinates: np.ndarray,
+    pool: RunPool,
+) -> list[np.ndarray]:
+    """By run, what the steps of a dataset make of a model's channels [m, N, N m].
+
+    Args:
+        dataset: The runs.
+        model: With effects or without.
+        log_zeta: Logarithm of each run's zeta over its set-up's [-], shape (runs,).
+        coordinates: The model's free numbers, shape (free,).
+        pool: Threads.
+
+    Returns:
+        Each of shape (channels, all samples).
+    """
+
+    def of(run: int) -> np.ndarray:
+        trial, observed = dataset.trials[run], dataset.observations[run]
+        plain = jnp.zeros_like(observed.step_error)
+        observed = eqx.tree_at(
+            lambda o: (o.step_error, o.compared_rows), observed, (plain, observed.all_rows)
+        )
 
         def simulated(parts: np.ndarray) -> np.ndarray:
             finer = eqx.tree_at(lambda t: t.parts, trial, jnp.asarray(parts, trial.parts.dtype))
-            at = as_real(log_zeta[run]), np.zeros(0)
-            return np.asarray(predict(AugmentedModel(), dataset.channels, finer, observed, *at))
+            at = as_real(log_zeta[run]), coordinates
+            return predict(model, dataset.channels, finer, observed, *at, dataset.shared)
 
-        error = step_error(simulated, trial)[:, : len(each.observation.time)]
+        return step_error(simulated, trial)[:, : len(dataset.runs[run].observation.time)]
+
+    return dataset.map(pool, of)
+
+
+def with_step_errors(dataset: RigDataset, errors: Sequence[np.ndarray]) -> RigDataset:
+    """The dataset from whose simulated channels these errors are taken off.
+
+    Args:
+        dataset: The runs.
+        errors: By run, shape (channels, all samples).
+    """
+    runs = []
+    for each, error in zip(dataset.runs, errors, strict=True):
         rows = [dataset.channels.index(name) for name in each.observation.channels]
-        return replace(
-            each,
-            trial=eqx.tree_at(lambda t: t.parts, each.trial, parts),
-            observation=replace(each.observation, step_error=error[rows]),
-        )
-
-    return RigDataset.of(dataset.map(pool, corrected), dataset.settings)
+        runs.append(replace(each, observation=replace(each.observation, step_error=error[rows])))
+    return replace(RigDataset.of(runs, dataset.settings), shared=dataset.shared)
 
 
 def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) -> float:

@@ -35,6 +35,7 @@ from diagnose.gap.zeta_matching import (
     unmatched,
 )
 from diagnose.hypotheses.hypothesis import Hypothesis, top_ranked
+from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.localization.localization import localize
@@ -78,7 +79,13 @@ def diagnose(
     """
     with RunPool() as pool:
         dataset = without_step_errors(dataset, pool, settings.screening.initial_zeta)
-        return _Diagnosing(dataset, pool, report, settings).run(effects)
+        found = screen_effects(dataset, effects, pool, report, settings.screening)
+        plain = predict_held_out(found.regressors, found.none, pool)
+        counts = settings.held_out.of_sizes(found.by_size)
+        found, dataset = without_leading_step_errors(
+            found, dataset, counts, pool, settings.screening.refinement
+        )
+        return _Diagnosing(dataset, pool, report, settings).run(found, plain, effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,15 +166,21 @@ class _Diagnosing:
     report: Report
     settings: DiagnosisSettings
 
-    def run(self, effects: Sequence[type[AbstractEffect]]) -> Diagnosis:
-        """All steps."""
+    def run(
+        self,
+        found: ScreeningResult,
+        plain: HeldOutPrediction,
+        effects: Sequence[type[AbstractEffect]],
+    ) -> Diagnosis:
+        """All steps once the effects are screened; `plain` is of the reference model."""
         dataset, settings = self.dataset, self.settings
-        found = screen_effects(dataset, effects, self.pool, self.report, settings.screening)
         finer = changes_with_finer_plates(
             dataset, found.none.log_zeta, self.pool, settings.discretization
         )
         weighed = self.weigh(found, finer)
-        reference = self.measure_reference(found, finer)
+        reference = _ReferenceRuns(
+            plain, at_mean_sinkage(plain, self.pool), discretization_errors(dataset, finer)
+        )
         gap = self.measure_gap(weighed, reference)
         for _ in range(settings.verdict.max_retries):
             if len(weighed.verdict) < 2 or gap.selected.worsens_no_channel(settings.selection):
@@ -333,21 +346,6 @@ class _Diagnosing:
             regressors.settings,
         )
 
-    def measure_reference(
-        self, found: ScreeningResult, finer: Sequence[np.ndarray]
-    ) -> _ReferenceRuns:
-        """The runs by the reference model, which every gap is measured against.
-
-        `finer` as for `weigh`.
-        """
-        regressors, none, pool = found.regressors, found.none, self.pool
-        plain = predict_held_out(regressors, none, pool)
-        return _ReferenceRuns(
-            plain,
-            at_mean_sinkage(regressors, plain, pool),
-            discretization_errors(self.dataset, finer),
-        )
-
     def measure_gap(self, weighed: _Weighed, reference: _ReferenceRuns) -> _MeasuredGap:
         """The gap without and with the chosen hypothesis, and its noise floors."""
         dataset, pool, settings = self.dataset, self.pool, self.settings
@@ -356,7 +354,7 @@ class _Diagnosing:
         prediction, matches = reference.prediction, reference.matches
         if chosen.names:
             prediction = weighed.held_out[chosen.names]
-            matches = at_mean_sinkage(regressors, prediction, pool)
+            matches = at_mean_sinkage(prediction, pool)
         before, after = residuals_of(reference.matches), residuals_of(matches)
         own = reference.discretization
         floors, how = noise_floors(dataset, before, after, own, none.by_zeta)
@@ -383,7 +381,6 @@ class _Diagnosing:
         prediction = gap.prediction if named else gap.reference.prediction
         after = gap.selected.after if named else gap.before
         return gap_budget(
-            weighed.screening.regressors.dataset,
             prediction,
             gap.before,
             after,

@@ -11,7 +11,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
+from diagnose.dataset import (
+    RigDataset,
+    in_short_steps,
+    match_initial_zeta,
+    without_step_errors,
+)
 from diagnose.hypotheses.hypothesis import lower_bounds
 from diagnose.linear.linear_fit import fit_linear, floor_inflation
 from diagnose.linear.linearized_runs import linearize_runs
@@ -78,7 +83,7 @@ def follow_shared_law(
     at = model.null()
     strengths = np.array([free.scale is not None for free in model.free])
     with_null = RigDataset.of(_with_law(dataset.runs, model, at), dataset.settings)
-    runs = without_step_errors(with_null, pool).runs
+    runs = without_step_errors(in_short_steps(with_null), pool).runs
     for turn in range(settings.rounds):
         base = RigDataset.of([runs[run] for run in before], dataset.settings)
         linearized = linearize_runs(base, match_initial_zeta(base, pool), pool)

@@ -10,7 +10,7 @@ from diagnose.checks.outlier_runs import (
     OutlierRunSettings,
     outliers_among_repeats,
 )
-from diagnose.dataset import RigDataset, without_step_errors
+from diagnose.dataset import RigDataset, in_short_steps, without_step_errors
 from diagnose.evaluation.result import Evaluation
 from diagnose.gap.discretization_error import (
     changes_with_finer_plates,
@@ -62,7 +62,7 @@ def evaluate_model(
         InputError: where no run is left.
     """
     with RunPool() as pool:
-        dataset = without_step_errors(dataset, pool)
+        dataset = without_step_errors(in_short_steps(dataset), pool)
         dataset, before, after, lost = _match_covered(dataset, effects, pool)
         log_zeta = np.array([each.log_zeta for each in before])
         own = discretization_errors(dataset, changes_with_finer_plates(dataset, log_zeta, pool))
@@ -138,7 +138,7 @@ def prediction_on(diagnosis: Diagnosis, paths: Sequence[Path]) -> dict[str, Gap]
     """
     dataset = RigDataset.of(with_common_origin(prepare_runs(list(paths)), diagnosis.origin))
     with RunPool() as pool:
-        dataset = without_step_errors(dataset, pool)
+        dataset = without_step_errors(in_short_steps(dataset), pool)
         before = match_runs(dataset, AugmentedModel(), np.zeros(0), pool)
         after = match_runs(dataset, *as_model(diagnosis.selected.effects), pool)
     return gaps(dataset, residuals_of(before), residuals_of(after), diagnosis.floors)

@@ -108,7 +108,6 @@ Budget = Mapping[str, ChannelBudget]
 
 
 def gap_budget(
-    dataset: RigDataset,
     prediction: HeldOutPrediction,
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
@@ -121,7 +120,6 @@ def gap_budget(
     """Budget of every channel.
 
     Args:
-        dataset: The runs.
         prediction: Held-out runs by the chosen hypothesis.
         before, after: Residual of each run by the reference model and by the chosen hypothesis, at
             matched zeta [m, N, N m], shape (channels, samples).
@@ -131,7 +129,8 @@ def gap_budget(
         pool: Threads.
         settings: Numbers of the intervals.
     """
-    parts = contributions(dataset, prediction, before, after, pool)
+    dataset = prediction.dataset
+    parts = contributions(prediction, before, after, pool)
     groups = group_by_condition(dataset.runs)
     random = np.random.default_rng(settings.seed)
     picked = random.integers(0, len(groups), (settings.draws, len(groups)))
@@ -172,7 +171,6 @@ def gap_budget(
 
 
 def contributions(
-    dataset: RigDataset,
     prediction: HeldOutPrediction,
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
@@ -182,7 +180,7 @@ def contributions(
 
     Arguments as for `gap_budget`. The contributions of a run add up to `before` less `after`.
     """
-    hypothesis = prediction.hypothesis
+    dataset, hypothesis = prediction.dataset, prediction.hypothesis
     count, z = len(hypothesis.names), dataset.channels.index("z")
     everything = (1 << count) - 1
 

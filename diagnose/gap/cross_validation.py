@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.dataset import RigDataset
 from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.refinement import changes_without
@@ -26,12 +27,14 @@ class HeldOutPrediction:
     """Runs predicted from numbers fitted without their condition.
 
     Attributes:
+        dataset: The runs, as they were simulated.
         hypothesis: The effects, fitted to all runs.
         log_zeta: Each run's own log zeta over its set-up's [-], shape (runs,).
         coordinates: The effects' free numbers without each run's condition, shape (runs, numbers).
         residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
     """
 
+    dataset: RigDataset
     hypothesis: Hypothesis
     log_zeta: np.ndarray
     coordinates: np.ndarray
@@ -59,12 +62,12 @@ def predict_held_out(
     """
     log_zeta = np.array(hypothesis.log_zeta)
     coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
+    dataset, every = regressors.dataset, np.arange(len(log_zeta))
     if len(hypothesis.coordinates) == 0:
-        return HeldOutPrediction(hypothesis, log_zeta, coordinates, hypothesis.residual)
+        return HeldOutPrediction(dataset, hypothesis, log_zeta, coordinates, hypothesis.residual)
     products = regressors.gram_matrices_of(
         hypothesis.columns, hypothesis.residual, hypothesis.log_zeta, pool
     )
-    dataset, every = regressors.dataset, np.arange(len(log_zeta))
     groups = [(g, np.setdiff1d(every, g)) for g in group_by_condition(dataset.runs)]
     groups = [(group, others) for group, others in groups if others.size]
     kept = [others for _, others in groups]
@@ -83,11 +86,10 @@ def predict_held_out(
         return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
 
     residual = dataset.map(pool, residual_of)
-    return HeldOutPrediction(hypothesis, log_zeta, coordinates, residual)
+    return HeldOutPrediction(dataset, hypothesis, log_zeta, coordinates, residual)
 
 
 def at_mean_sinkage(
-    regressors: Regressors,
     prediction: HeldOutPrediction,
     pool: RunPool,
     settings: ZetaMatchSettings = DEFAULT_ZETA_MATCH,
@@ -97,12 +99,11 @@ def at_mean_sinkage(
     A run whose mean sinkage is matched by no zeta stays as it is.
 
     Args:
-        regressors: Of the dataset.
         prediction: Runs predicted without their condition.
         pool: Threads.
         settings: Numbers of the secant search.
     """
-    hypothesis, dataset = prediction.hypothesis, regressors.dataset
+    hypothesis, dataset = prediction.hypothesis, prediction.dataset
     z = dataset.channels.index("z")
 
     def of(run: int) -> MatchedRun:

@@ -48,7 +48,7 @@ def predicted_residuals(
         prediction: Held-out runs.
         pool: Threads.
     """
-    dataset, hypothesis = regressors.dataset, prediction.hypothesis
+    dataset, hypothesis = prediction.dataset, prediction.hypothesis
     zetas = prediction.log_zeta + regressors.log_reference_zeta
     groups = group_by_condition(dataset.runs)
     predicted = predicted_zetas(zetas, groups) - regressors.log_reference_zeta

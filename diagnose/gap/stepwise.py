@@ -73,7 +73,7 @@ def stepwise_gap(
     steps, order = [], ()
     for each in reversed(chain):
         prediction = held_out.get(each.names) or predict_held_out(regressors, each, pool)
-        after = residuals_of(at_mean_sinkage(regressors, prediction, pool))
+        after = residuals_of(at_mean_sinkage(prediction, pool))
         if dataset.all_finite(after):
             order += tuple(name for name in each.names if name not in order)
             gap = gaps(dataset, before, after, floors, settings)

@@ -134,7 +134,7 @@ def relinearize(regressors: Regressors, here: Hypothesis, pool: RunPool) -> Hypo
 def at_its_start(regressors: Regressors, start: Hypothesis, pool: RunPool) -> Hypothesis:
     """A hypothesis with a `start_score` where it starts, without its proposed step."""
     at = start.log_zeta, start.coordinates, start.residual
-    fit = _simulated_fit(regressors, start, *at, pool)
+    fit = simulated_fit(regressors, start, *at, pool)
     return replace(start, fit=fit, is_simulated=True, proposed_step=None)
 
 
@@ -274,7 +274,7 @@ def _simulate_with_update(
     columns, residual = [c for c, _ in both], [r for _, r in both]
     if not dataset.all_finite(residual):
         return None
-    fit = _simulated_fit(regressors, before, log_zeta, coordinates, residual, pool)
+    fit = simulated_fit(regressors, before, log_zeta, coordinates, residual, pool)
     return Hypothesis(
         before.model, log_zeta, coordinates, fit, columns, residual, is_simulated=True
     )
@@ -289,7 +289,7 @@ def broyden_update(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -
     return jacobian + surprise[:, :, None] * step / size
 
 
-def _simulated_fit(
+def simulated_fit(
     regressors: Regressors,
     before: Hypothesis,
     log_zeta: np.ndarray,

@@ -351,7 +351,7 @@ def _correction(
 ) -> Correction | None:
     """A fitted curve with the gap of held-out runs; None where one cannot be simulated."""
     dataset = regressors.dataset
-    matches = at_mean_sinkage(regressors, predict_held_out(regressors, found, pool), pool)
+    matches = at_mean_sinkage(predict_held_out(regressors, found, pool), pool)
     after = residuals_of(matches)
     if not dataset.all_finite(after):
         return None

@@ -297,8 +297,8 @@ def test_a_run_whose_sinkage_no_zeta_meets_is_told(runs):
 
 
 def test_a_diagnosis_tells_the_runs_whose_sinkage_no_zeta_meets(runs, monkeypatch):
-    def not_one(regressors, prediction, pool):
-        found = at_mean_sinkage(regressors, prediction, pool)
+    def not_one(prediction, pool):
+        found = at_mean_sinkage(prediction, pool)
         return [dataclasses.replace(each, matched=False) for each in found]
 
     monkeypatch.setattr("diagnose.pipeline.at_mean_sinkage", not_one)

@@ -1,6 +1,6 @@
 """A case for a diagnosis: three short runs of one virtual rig, two of one command."""
 
-from diagnose.dataset import RigDataset, without_step_errors
+from diagnose.dataset import RigDataset, in_short_steps, without_step_errors
 from diagnose.run_pool import RunPool
 from diagnose.selection.verdict import VerdictSettings
 from diagnose.settings import DiagnosisSettings
@@ -57,7 +57,8 @@ def run_with(
 def dataset_with(*effects: dict, scale: float = 1.0) -> RigDataset:
     """Runs of a rig with these effects, as entries of a set-up file.
 
-    The wheel stands at rest where its sinkage reads `scale` times what it is.
+    They are simulated in short steps. The wheel stands at rest where its sinkage reads `scale`
+    times what it is.
     """
     found = []
     for number, (profile, zeta) in enumerate(zip(PROFILES, (0.75, 0.757, 0.745), strict=True)):
@@ -66,4 +67,4 @@ def dataset_with(*effects: dict, scale: float = 1.0) -> RigDataset:
         setup.start.sinkage *= scale
         found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
     with RunPool() as pool:
-        return without_step_errors(RigDataset.of(found), pool)
+        return without_step_errors(in_short_steps(RigDataset.of(found)), pool)

@@ -124,7 +124,7 @@ def say(console: Console, title: str, found: Diagnosis) -> None:
     regressors = found.screening.regressors
     with RunPool() as pool:
         held_out = predict_held_out(regressors, found.chosen, pool)
-        left = residuals_of(at_mean_sinkage(regressors, held_out, pool))
+        left = residuals_of(at_mean_sinkage(held_out, pool))
     leading = " + ".join(found.chosen.names) or "the reference model"
     added = " + ".join(each.about.name for each in found.selected.effects) or "nothing"
     for channel, gap in found.gap.items():

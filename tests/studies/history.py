@@ -89,7 +89,7 @@ def unseen_floors(found: Diagnosis, names: Sequence[str], channel: str = "x") ->
             regressors = found.screening.regressors
             with RunPool() as pool:
                 held_out = predict_held_out(regressors, each, pool)
-                unseen = residuals_of(at_mean_sinkage(regressors, held_out, pool))
+                unseen = residuals_of(at_mean_sinkage(held_out, pool))
             index = found.dataset.channels.index(channel)
             square = np.mean(np.concatenate([run[index] for run in unseen]) ** 2)
             return float(np.sqrt(square)) / found.floors[channel]

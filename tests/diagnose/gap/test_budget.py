@@ -75,11 +75,12 @@ def budget_of(monkeypatch, signals: np.ndarray, left: np.ndarray, floors: dict, 
         model=SimpleNamespace(free=free),
         by_zeta=lambda run: np.stack([np.zeros(left.shape[1]), np.ones(left.shape[1])]),
     )
-    prediction = HeldOutPrediction(hypothesis, np.zeros(2), np.ones((2, len(signals))), [left] * 2)
-    before = [left + signals.sum(axis=0)] * 2
     bench: Any = Bench(signals)
+    ones = np.ones((2, len(signals)))
+    prediction = HeldOutPrediction(bench, hypothesis, np.zeros(2), ones, [left] * 2)
+    before = [left + signals.sum(axis=0)] * 2
     pool: Any = SimpleNamespace(map=lambda of, runs: [of(run) for run in runs])
-    return gap_budget(bench, prediction, before, [left] * 2, floors, dict(errors), names, pool)
+    return gap_budget(prediction, before, [left] * 2, floors, dict(errors), names, pool)
 
 
 def zero_mean(rows: np.ndarray) -> np.ndarray:

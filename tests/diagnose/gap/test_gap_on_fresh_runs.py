@@ -32,7 +32,7 @@ def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting, po
     regressors = Regressors.of(drifting, linearized, (), pool)
     none = refine(regressors, linear_start(regressors, []), 3, pool)
     held_out = predict_held_out(regressors, none, pool)
-    met = residuals_of(at_mean_sinkage(regressors, held_out, pool))
+    met = residuals_of(at_mean_sinkage(held_out, pool))
     alone = [each.residual for each in match_runs(drifting, AugmentedModel(), np.zeros(0), pool)]
     assert rms(met) == pytest.approx(rms(alone), rel=AGREE)
     # The zeta that suits all channels best gives z up for x.
