@@ -459,6 +459,15 @@ def with_step_errors(dataset: RigDataset, errors: Sequence[np.ndarray]) -> RigDa
     return replace(RigDataset.of(runs, dataset.settings), shared=dataset.shared)
 
 
+def with_step_errors_of(other: RigDataset, dataset: RigDataset) -> RigDataset:
+    """A dataset without the step's errors that another one of the same runs knows."""
+    known = zip(other.observations, other.runs, strict=True)
+    errors = [
+        np.asarray(padded.step_error)[:, : len(run.observation.time)] for padded, run in known
+    ]
+    return with_step_errors(dataset, errors)
+
+
 def _initial_zeta(dataset: RigDataset, run: int, settings: InitialZetaSettings) -> float:
     z = dataset.channels.index("z")
     early = _early_samples(dataset, run, settings.window)

@@ -11,7 +11,7 @@ from diagnose.checks.outlier_runs import (
     outliers_among_repeats,
     outliers_by_zeta,
 )
-from diagnose.dataset import RigDataset, without_step_errors
+from diagnose.dataset import RigDataset, with_step_errors_of, without_step_errors
 from diagnose.gap.budget import ChannelBudget, gap_budget
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import (
@@ -35,7 +35,6 @@ from diagnose.gap.zeta_matching import (
     unmatched,
 )
 from diagnose.hypotheses.hypothesis import Hypothesis, top_ranked
-from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.localization.localization import localize
@@ -80,11 +79,8 @@ def diagnose(
     with RunPool() as pool:
         dataset = without_step_errors(dataset, pool, settings.screening.initial_zeta)
         found = screen_effects(dataset, effects, pool, report, settings.screening)
-        plain = predict_held_out(found.regressors, found.none, pool)
-        counts = settings.held_out.of_sizes(found.by_size)
-        found, dataset = without_leading_step_errors(
-            found, dataset, counts, pool, settings.screening.refinement
-        )
+        plain = predict_held_out(replace(found.regressors, dataset=dataset), found.none, pool)
+        dataset = with_step_errors_of(found.regressors.dataset, dataset)
         return _Diagnosing(dataset, pool, report, settings).run(found, plain, effects)
 
 

@@ -80,6 +80,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: places.get(_named(item.path), len(places)))
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    from tests.helpers.scheduling import ByPackage
+
+    return ByPackage(config, log)
+
+
 def pytest_collection_finish() -> None:
     """Have Python look for unused objects less often, and not among what was imported.
 

@@ -205,6 +205,14 @@ def top_ranked(ranked: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
     return found
 
 
+def best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best of those with the same effects, best first: one set is weighed once."""
+    found: dict[frozenset[str], Hypothesis] = {}
+    for each in sorted(hypotheses, key=lambda each: -each.score):
+        found.setdefault(frozenset(each.names), each)
+    return list(found.values())
+
+
 def least_changes(here: Hypothesis) -> np.ndarray:
     """Least change of each coordinate that keeps the effects' numbers in their bounds."""
     return coordinate_bounds(here, "least") - here.coordinates

@@ -17,7 +17,8 @@ from diagnose.dataset import (
     match_initial_zeta,
 )
 from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings, exchanged_sets
-from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
+from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each, linear_start, top_ranked
+from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, ranked_effects
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
@@ -87,6 +88,7 @@ class ScreeningSettings:
         min_set_share: The same while it gained this share of what was left to gain [-]. Effects
             that the rig has take a gap away in few steps; what is outside the list is nibbled at.
         max_exchanges: Times that effects are exchanged for look-alikes, at most.
+        max_leading: Leading explanations of each size that are simulated once more at the end.
         initial_zeta: Numbers of the search for the zeta where all is linearised.
         linearization: Numbers of the linearisation.
         linear_fit: Weights of linear fits, and of the log score.
@@ -114,6 +116,7 @@ class ScreeningSettings:
     min_set_gain: float = 8.0
     min_set_share: float = 0.1
     max_exchanges: int = 3
+    max_leading: int = 4
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
@@ -219,18 +222,33 @@ class _Screening:
         singles = self.simulate_singles(ranked)
         if is_far:
             singles = self.with_large_strengths(singles)
-        singles = self.finish(singles)
-        by_size: list[list[Hypothesis]] = [singles, []]
-        if singles and self.leaves_gap(singles[0]):
+        here, by_size = self.at_leading([self.finish(singles), []])
+        if by_size[0] and self.leaves_gap(by_size[0][0]):
             report("pairs of effects")
             pairs = self.settings.pairs.where(is_far)
             larger_sets = self.settings.larger_sets.where(is_far)
-            by_size[1] = self.finish(self.refine_sets(singles, singles, pairs))
-            self.add_effects(by_size, larger_sets, report)
-            self.exchange_effects(by_size, larger_sets, report)
-            self.take_out_further(by_size)
-        alone, in_pairs, *larger = map(tuple, by_size)
-        return ScreeningResult(self.regressors, none, alone, in_pairs, tuple(larger))
+            by_size[1] = here.finish(here.refine_sets(by_size[0], by_size[0], pairs))
+            here, by_size = here.at_leading(by_size)
+            here.add_effects(by_size, larger_sets, report)
+            here, by_size = here.at_leading(by_size)
+            here.exchange_effects(by_size, larger_sets, report)
+            here.take_out_further(by_size)
+            here, by_size = here.at_leading(by_size)
+        alone, in_pairs, *larger = map(here.refine_leading, by_size)
+        return ScreeningResult(here.regressors, none, alone, in_pairs, tuple(larger))
+
+    def at_leading(
+        self, by_size: list[list[Hypothesis]]
+    ) -> tuple["_Screening", list[list[Hypothesis]]]:
+        """The same without the error of the step at the leading numbers, and what is known."""
+        regressors, known = without_leading_step_errors(self.regressors, by_size, self.pool)
+        return replace(self, regressors=regressors), known
+
+    def refine_leading(self, several: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+        """Hypotheses of one size, of which those that may be weighed are simulated once more."""
+        leading = [e for e in top_ranked(several, self.settings.max_leading) if e.is_simulated]
+        refined = self.pool.map_outer(lambda each: self.refine(each, 1), leading)
+        return tuple(best_of_each([*refined, *(e for e in several if e not in leading)]))
 
     def is_far(self, none: Hypothesis) -> bool:
         """Tell whether the reference model is so far off that linear fits say little."""
@@ -461,14 +479,6 @@ class _Screening:
             for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
             if kind == "slow"
         )
-
-
-def best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The best of those with the same effects, best first: one set is weighed once."""
-    found: dict[frozenset[str], Hypothesis] = {}
-    for each in sorted(hypotheses, key=lambda each: -each.score):
-        found.setdefault(frozenset(each.names), each)
-    return list(found.values())
 
 
 def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:

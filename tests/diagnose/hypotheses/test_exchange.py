@@ -6,9 +6,8 @@ import pytest
 
 from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.exchange import exchanged_sets, look_alikes
-from diagnose.hypotheses.hypothesis import linear_start
+from diagnose.hypotheses.hypothesis import best_of_each, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
-from diagnose.hypotheses.screening import best_of_each
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import AugmentedModel, shared_model

@@ -10,16 +10,19 @@ import pytest
 from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
-from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, refine
+from diagnose.hypotheses.refinement import refine
 from diagnose.hypotheses.screening import ScreeningResult
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.settings import DEFAULT_SETTINGS
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
 # Of the error that the leading effect has with the reference model's taken off: what is left of an
 # extrapolation from a quarter and a half of the step is of second order.
 LEFT = 0.5
+# Of metres: another order of sums.
+ROUNDING = 1e-12
 
 
 @pytest.fixture(scope="module")
@@ -58,23 +61,30 @@ def miss(dataset: RigDataset, each: Hypothesis, run: int) -> np.ndarray:
 
 def test_the_leading_effect_is_simulated_as_in_short_steps(pulled, screened, pool):
     best = screened.singles[0]
-    found, dataset = without_leading_step_errors(screened, pulled, [1, 1], pool, DEFAULT_REFINEMENT)
+    regressors, by_size = without_leading_step_errors(screened.regressors, screened.by_size, pool)
+    dataset = regressors.dataset
     for run in pulled.run_numbers:
         before, after = (np.sqrt(np.mean(miss(d, best, run) ** 2)) for d in (pulled, dataset))
         assert after < LEFT * before
-    # It is refined once more, and its residual is what the dataset simulates at its numbers.
-    now = found.singles[0]
-    simulated = dataset.prediction(now.model, 0, now.log_zeta[0], now.coordinates)
-    # Plates that stay above the sand change nothing but roundings.
-    np.testing.assert_allclose(now.residual[0], simulated - dataset.recording(0), atol=1e-9)
+        # What is known of it is what the dataset simulates at its numbers.
+        at = best.model, run, best.log_zeta[run], best.coordinates
+        simulated = dataset.prediction(*at) - dataset.recording(run)
+        np.testing.assert_allclose(by_size[0][0].residual[run], simulated, atol=ROUNDING)
 
 
-def test_the_reference_model_keeps_its_own_error(pulled, screened, pool):
-    found, _ = without_leading_step_errors(screened, pulled, [1, 1], pool, DEFAULT_REFINEMENT)
-    assert found.none is screened.none
+def test_what_an_effect_changes_is_the_same_beside_another_error(screened, pool):
+    regressors, by_size = without_leading_step_errors(screened.regressors, screened.by_size, pool)
+    before = screened.singles[0].residual[0] - screened.regressors.residual[0]
+    after = by_size[0][0].residual[0] - regressors.residual[0]
+    np.testing.assert_allclose(after, before, atol=ROUNDING)
 
 
-def test_without_a_simulated_effect_nothing_changes(pulled, screened, pool):
-    nothing = replace(screened, singles=(replace(screened.singles[0], is_simulated=False),))
-    found, dataset = without_leading_step_errors(nothing, pulled, [1, 1], pool, DEFAULT_REFINEMENT)
-    assert (found, dataset) == (nothing, pulled)
+def test_without_a_simulated_effect_nothing_changes(screened, pool):
+    nothing = [[replace(screened.singles[0], is_simulated=False)], []]
+    regressors, by_size = without_leading_step_errors(screened.regressors, nothing, pool)
+    assert (regressors, by_size) == (screened.regressors, nothing)
+
+
+def test_every_explanation_that_is_weighed_is_simulated_at_the_end():
+    weighed = DEFAULT_SETTINGS.held_out.of_sizes([None] * 6)
+    assert max(weighed) <= DEFAULT_SETTINGS.screening.max_leading
