@@ -17,7 +17,14 @@ from diagnose.dataset import (
     match_initial_zeta,
 )
 from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings, exchanged_sets
-from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each, linear_start, top_ranked
+from diagnose.hypotheses.hypothesis import (
+    Hypothesis,
+    best_of_each,
+    large_strengths,
+    linear_start,
+    step_to,
+    top_ranked,
+)
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, ranked_effects
 from diagnose.hypotheses.refinement import (
@@ -48,7 +55,6 @@ from diagnose.model.augmented_model import shared_model
 from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSettings
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import field_metadata, strengths
 from drftjax.recorded.repeats import group_by_condition
 
 Report = Callable[[str], None]
@@ -88,7 +94,7 @@ class ScreeningSettings:
         min_set_share: The same while it gained this share of what was left to gain [-]. Effects
             that the rig has take a gap away in few steps; what is outside the list is nibbled at.
         max_exchanges: Times that effects are exchanged for look-alikes, at most.
-        max_leading: Leading explanations of each size that are simulated once more at the end.
+        max_leading: Leading explanations of each size that get exact derivatives at the end.
         initial_zeta: Numbers of the search for the zeta where all is linearised.
         linearization: Numbers of the linearisation.
         linear_fit: Weights of linear fits, and of the log score.
@@ -234,7 +240,8 @@ class _Screening:
             here.exchange_effects(by_size, larger_sets, report)
             here.take_out_further(by_size)
             here, by_size = here.at_leading(by_size)
-        alone, in_pairs, *larger = map(here.refine_leading, by_size)
+        best = max((several[0].score for several in by_size if several), default=-np.inf)
+        alone, in_pairs, *larger = (here.refine_leading(each, best) for each in by_size)
         return ScreeningResult(here.regressors, none, alone, in_pairs, tuple(larger))
 
     def at_leading(
@@ -244,11 +251,18 @@ class _Screening:
         regressors, known = without_leading_step_errors(self.regressors, by_size, self.pool)
         return replace(self, regressors=regressors), known
 
-    def refine_leading(self, several: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Hypotheses of one size, of which those that may be weighed are simulated once more."""
-        leading = [e for e in top_ranked(several, self.settings.max_leading) if e.is_simulated]
-        refined = self.pool.map_outer(lambda each: self.refine(each, 1), leading)
-        return tuple(best_of_each([*refined, *(e for e in several if e not in leading)]))
+    def refine_leading(self, several: list[Hypothesis], best: float) -> tuple[Hypothesis, ...]:
+        """Hypotheses of one size; those near the best score have derivatives at their numbers."""
+        least, count = best - self.settings.hopeless_deficit, self.settings.max_leading
+        near = [e for e in top_ranked(several, count) if e.is_simulated and e.score > least]
+
+        def refined(each: Hypothesis) -> Hypothesis:
+            exact = relinearize(self.regressors, each, self.pool)
+            # The step is short: what a simulation says of the way is mostly roughness.
+            return replace(self.refine(exact, 1), columns=exact.columns)
+
+        done = self.pool.map_outer(refined, near)
+        return tuple(best_of_each([*done, *(each for each in several if each not in near)]))
 
     def is_far(self, none: Hypothesis) -> bool:
         """Tell whether the reference model is so far off that linear fits say little."""
@@ -396,7 +410,7 @@ class _Screening:
         tries = [
             (variant, coordinate, values)
             for variant in self.regressors.variants
-            for coordinate, values in _large_strengths(variant.effect).items()
+            for coordinate, values in large_strengths(variant.effect).items()
         ]
         found = {each.names: each for each in singles}
         for best in self.pool.map_outer(lambda each: self.try_strengths(*each), tries):
@@ -411,7 +425,7 @@ class _Screening:
         """Simulate an effect at each of some strengths, and refine the best from there."""
         start = linear_start(self.regressors, [variant])
         starts = [
-            replace(start, proposed_step=_step_to(start, coordinate, value)) for value in values
+            replace(start, proposed_step=step_to(start, coordinate, value)) for value in values
         ]
         found = [self.refine(each, 1) for each in starts]
         best = max(found, key=lambda each: each.score if each.is_simulated else -np.inf)
@@ -479,22 +493,3 @@ class _Screening:
             for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
             if kind == "slow"
         )
-
-
-def _large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:
-    """Values far from zero to try [typical sizes], by the strength's place; few have any."""
-    about = [field_metadata(effect)[name] for name in strengths(effect)]
-    return {
-        place: [value / each["typical"] for value in each["far"]]
-        for place, each in enumerate(about)
-        if each["far"]
-    }
-
-
-def _step_to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
-    """Step from a start's null to one strength alone."""
-    assert start.proposed_step is not None
-    zeta, change = start.proposed_step
-    there = change.copy()
-    there[coordinate] = value - start.coordinates[coordinate]
-    return np.zeros_like(zeta), there
