@@ -402,10 +402,8 @@ def without_step_errors(
         RunError: where a run cannot be simulated, or zeta does not change its sinkage.
     """
     log_zeta = match_initial_zeta(dataset, pool, settings)
-    nothing = np.zeros(0)
-    return with_step_errors(
-        dataset, step_errors(dataset, AugmentedModel(), log_zeta, nothing, pool)
-    )
+    errors = step_errors(dataset, AugmentedModel(), log_zeta, np.zeros(0), pool)
+    return with_step_errors(dataset, errors)
 
 
 def step_errors(
@@ -460,7 +458,7 @@ def with_step_errors(dataset: RigDataset, errors: Sequence[np.ndarray]) -> RigDa
 
 
 def with_step_errors_of(other: RigDataset, dataset: RigDataset) -> RigDataset:
-    """A dataset without the step's errors that another one of the same runs knows."""
+    """A dataset without the step's errors that another one of the same runs takes off."""
     known = zip(other.observations, other.runs, strict=True)
     errors = [
         np.asarray(padded.step_error)[:, : len(run.observation.time)] for padded, run in known

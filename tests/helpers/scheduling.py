@@ -14,22 +14,16 @@ class ByPackage(LoadFileScheduling):
     """Files whole, and each worker's from one package while that has any."""
 
     def _assign_work_unit(self, node: WorkerController) -> None:
-        done = [_package(file) for file in self.assigned_work[node]]
+        """Of the package it is on; else of one that no worker is on; else of the one least done."""
+        own = [_package(file) for file in self.assigned_work[node]][-1:]
         waiting = Counter(map(_package, self.workqueue))
-        # Else one that no other is on, the first; else that with most files for each worker on it.
-        busy = Counter(
-            _package(list(files)[-1])
-            for worker, files in self.assigned_work.items()
-            if worker is not node and files
-        )
-        package = max(
-            waiting,
-            key=lambda name: (
-                done[-1:] == [name],
-                not busy[name],
-                waiting[name] / (1 + busy[name]) if busy[name] else 0,
-            ),
-        )
+        others = (files for worker, files in self.assigned_work.items() if worker is not node)
+        busy = Counter(_package(list(files)[-1]) for files in others if files)
+
+        def rank(name: str) -> tuple[bool, bool, float]:
+            return [name] == own, not busy[name], busy[name] and waiting[name] / (1 + busy[name])
+
+        package = max(waiting, key=rank)
         first = next(file for file in self.workqueue if _package(file) == package)
         self.workqueue.move_to_end(first, last=False)
         super()._assign_work_unit(node)
