@@ -185,11 +185,11 @@ def screen_effects(
     report(f"linearising {len(dataset.runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool, settings.linearization)
     regressors = Regressors.of(dataset, linearized, effects, pool, settings.linear_fit)
-    return _Screening(regressors, pool, settings).run(report)
+    return Screening(regressors, pool, settings).run(report)
 
 
 @dataclass(frozen=True, eq=False)
-class _Screening:
+class Screening:
     """The screening of one dataset.
 
     Attributes:
@@ -200,7 +200,7 @@ class _Screening:
 
     regressors: Regressors
     pool: RunPool
-    settings: ScreeningSettings
+    settings: ScreeningSettings = DEFAULT_SCREENING
 
     def run(self, report: Report) -> ScreeningResult:
         """The screening, once repeats have shown how far zeta scatters."""
@@ -238,7 +238,6 @@ class _Screening:
             here.add_effects(by_size, larger_sets, report)
             here, by_size = here.at_leading(by_size)
             here.exchange_effects(by_size, larger_sets, report)
-            here.take_out_further(by_size)
             here, by_size = here.at_leading(by_size)
         best = max((several[0].score for several in by_size if several), default=-np.inf)
         alone, in_pairs, *larger = (here.refine_leading(each, best) for each in by_size)
@@ -246,7 +245,7 @@ class _Screening:
 
     def at_leading(
         self, by_size: list[list[Hypothesis]]
-    ) -> tuple["_Screening", list[list[Hypothesis]]]:
+    ) -> tuple["Screening", list[list[Hypothesis]]]:
         """The same without the error of the step at the leading numbers, and what is known."""
         regressors, known = without_leading_step_errors(self.regressors, by_size, self.pool)
         return replace(self, regressors=regressors), known
@@ -287,7 +286,9 @@ class _Screening:
             best, smaller = by_size[-1][0], by_size[-2][0]
             gained = best.score - smaller.score
             worth = settings.min_set_share * (self.best_score() - smaller.score)
-            if not self.leaves_gap(best) or gained < max(settings.min_set_gain, worth):
+            # A smaller set, found by taking out, may leave none either.
+            leave_gap = all(self.leaves_gap(several[0]) for several in by_size if several)
+            if not leave_gap or gained < max(settings.min_set_gain, worth):
                 break
             report(f"sets of {len(by_size) + 1} effects")
             by_size.append(self.finish(self.refine_sets(by_size[-1], by_size[0], limits)))
@@ -308,6 +309,8 @@ class _Screening:
         settings, done = self.settings, set[frozenset[str]]()
         of_place = replace(limits, max_continued=settings.exchange.max_continued)
         for _ in range(settings.max_exchanges):
+            # Look-alikes belong to the set that is told, which may be a part of the one found.
+            self.take_out_further(by_size)
             leading = [several[0] for several in by_size[1:] if several]
             best = max(leading, key=self.worth, default=None)
             # Where it leaves no gap, too: what does as well belongs in a group with it.
@@ -335,6 +338,7 @@ class _Screening:
                 break
             del by_size[place + 1 :]
             self.add_effects(by_size, limits, report)
+        self.take_out_further(by_size)
 
     def take_out_further(self, by_size: list[list[Hypothesis]]) -> None:
         """Try the best set without one effect after another, while that costs little."""

@@ -49,6 +49,7 @@ def step_error(
     simulated: Callable[[np.ndarray], np.ndarray],
     trials: Trial,
     settings: StepErrorSettings = DEFAULT_STEP_ERROR,
+    known: np.ndarray | float = 0.0,
 ) -> np.ndarray:
     """Simulated channels less those of far shorter steps, extrapolated (Richardson).
 
@@ -56,13 +57,14 @@ def step_error(
         simulated: Channels with so many steps in place of one, by run.
         trials: A trial, or several stacked along a leading axis of runs.
         settings: Numbers of the shorter steps.
+        known: An error from elsewhere, such as from other parameters, shape of the channels.
 
     Returns:
-        Shape of the channels; zero where one of the three is not finite.
+        Shape of the channels; what is known where one of the three is not finite.
     """
     parts = np.asarray(trials.parts)
     enough = np.maximum(settings.refinement * parts, parts_within_turn(trials, settings))
     finest = 2 * np.ceil(enough / 2).astype(int)
     found, half, fine = (simulated(each) for each in (parts, finest // 2, finest))
     error = found - (2 * fine - half)
-    return np.where(np.isfinite(error), error, 0.0)
+    return np.where(np.isfinite(error), error, known)

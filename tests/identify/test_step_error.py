@@ -54,6 +54,15 @@ def test_a_run_that_diverges_in_shorter_steps_is_left_as_it_is():
     assert found.tolist() == [0.0, 0.0]
 
 
+def test_what_is_known_stands_where_a_run_diverges_in_shorter_steps():
+    each = trial_of(ZETA, STEP, 0.1)
+    known = np.array([0.3, 0.4])
+    found = step_error(
+        lambda parts: np.array([1.0, np.nan if parts > 1 else 2.0]), each, known=known
+    )
+    assert found.tolist() == [0.0, 0.4]
+
+
 def test_the_error_is_taken_against_shorter_steps_extrapolated():
     each = eqx.tree_at(lambda t: t.parts, trial_of(ZETA, STEP, 0.1), jnp.asarray(3))
     # An error of first order is taken off whole: 7 + step.

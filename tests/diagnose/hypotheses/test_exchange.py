@@ -8,6 +8,8 @@ from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.exchange import exchanged_sets, look_alikes
 from diagnose.hypotheses.hypothesis import best_of_each, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
+from diagnose.hypotheses.screening import Screening
+from diagnose.hypotheses.set_screening import DEFAULT_LARGER_SETS
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import AugmentedModel, shared_model
@@ -65,6 +67,25 @@ def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     assert exact.model.free[1].field == "lag"
     # A pull stands for friction, which three short runs hardly tell apart: a tenth.
     assert exact.model.free[1].value(exact.coordinates[1]) == pytest.approx(0.15, rel=0.1)
+
+
+def test_look_alikes_are_tried_in_the_part_of_a_set_that_does_as_well(regressors, pool):
+    of = {each.effect.about.name: each for each in regressors.variants}
+
+    def settled(*names: str):
+        start = refine(regressors, linear_start(regressors, [of[name] for name in names]), 2, pool)
+        return refine(regressors, relinearize(regressors, start, pool), 3, pool)
+
+    # The ground does not rise: the pair without it, which nobody has tried, is the one to tell.
+    pair, three = (
+        settled("drawbar", "surface_slope"),
+        settled("drawbar", "speed_lag", "surface_slope"),
+    )
+    by_size = [[settled("drawbar")], [pair], [three]]
+    Screening(regressors, pool).exchange_effects(by_size, DEFAULT_LARGER_SETS, lambda stage: None)
+    tried = {frozenset(each.names) for each in by_size[1]}
+    assert {"drawbar", "speed_lag"} in tried
+    assert {"horizontal_coulomb", "speed_lag"} in tried
 
 
 def test_sets_that_do_about_as_well_are_not_begun_again(regressors, wrong, pool):

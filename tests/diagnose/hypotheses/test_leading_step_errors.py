@@ -7,13 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import RigDataset, match_initial_zeta, without_step_errors
+from diagnose.dataset import RigDataset, match_initial_zeta, step_errors, without_step_errors
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.refinement import refine
 from diagnose.hypotheses.screening import ScreeningResult
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
+from diagnose.model.augmented_model import predict
 from diagnose.settings import DEFAULT_SETTINGS
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
@@ -77,6 +78,21 @@ def test_what_an_effect_changes_is_the_same_beside_another_error(screened, pool)
     before = screened.singles[0].residual[0] - screened.regressors.residual[0]
     after = by_size[0][0].residual[0] - regressors.residual[0]
     np.testing.assert_allclose(after, before, atol=ROUNDING)
+
+
+def test_a_run_that_diverges_in_shorter_steps_keeps_the_error_that_is_known(
+    pulled, screened, pool, monkeypatch
+):
+    def diverging(model, channels, trial, *at):
+        found = predict(model, channels, trial, *at)
+        return found if int(trial.parts) == 1 else np.full_like(found, np.nan)
+
+    monkeypatch.setattr("diagnose.dataset.predict", diverging)
+    best = screened.singles[0]
+    found = step_errors(pulled, best.model, best.log_zeta, best.coordinates, pool)
+    for run, error in zip(pulled.runs, found, strict=True):
+        assert np.any(error)
+        np.testing.assert_array_equal(error, run.observation.step_error)
 
 
 def test_without_a_simulated_effect_nothing_changes(screened, pool):
