@@ -47,6 +47,7 @@ from diagnose.selection.verdict import (
     believing_listed,
     competing_hypotheses,
     decide,
+    explaining_candidates,
     hypothesis_behind,
     reassign_unknown,
     weight_by_name,
@@ -183,10 +184,8 @@ class _Diagnosing:
                 break
             weighed = self.without_set(weighed)
             gap = self.measure_gap(weighed, reference)
-        if weighed.verdict == (UNKNOWN,) and gap.selected.explains_most(settings.selection):
-            before, weighed = weighed, self.believing_listed(weighed, gap.selected.leaves_gap)
-            if weighed.chosen is not before.chosen:
-                gap = self.measure_gap(weighed, reference)
+        if weighed.verdict == (UNKNOWN,):
+            weighed, gap = self.with_explaining_set(weighed, gap, reference)
         one_zeta = self.one_zeta_gap(weighed, gap)
         every_gap = (*gap.selected.gap.values(), *one_zeta.values())
         if weighed.verdict != (NONE,) and not any(each.is_reducible for each in every_gap):
@@ -271,15 +270,27 @@ class _Diagnosing:
         }
         leading = [each for each in leading if each.names in held_out]
         share = self.weights(found, leading, held_out, finer)
-        verdict, groups = decide(share, self.settings.verdict)
-        chosen = hypothesis_behind(found, leading, share, verdict)
-        return _Weighed(found, leading, held_out, share, verdict, groups, chosen)
+        return self.decided(_Weighed(found, leading, held_out, share, (), [], found.none), share)
 
-    def believing_listed(self, weighed: _Weighed, leaves_gap: bool) -> _Weighed:
-        """The verdict of the listed effects, which explain most of the gap."""
-        settings = self.settings.verdict
-        share = believing_listed(weighed.share, leaves_gap, settings)
-        verdict, groups = decide(share, settings)
+    def with_explaining_set(
+        self, weighed: _Weighed, likeliest: _MeasuredGap, reference: _ReferenceRuns
+    ) -> tuple[_Weighed, _MeasuredGap]:
+        """The verdict of the likeliest set, or else a larger one, that explains most of the gap."""
+        settings, share, chosen = self.settings.verdict, weighed.share, weighed.chosen
+        sets = {each.names: each for each in (*weighed.leading, chosen)}
+        for names in explaining_candidates(share, chosen.names, settings):
+            tried = replace(weighed, chosen=sets[names])
+            gap = likeliest if names == chosen.names else self.measure_gap(tried, reference)
+            if gap.selected.explains_most(self.settings.selection):
+                believed = believing_listed(share, names, gap.selected.leaves_gap, settings)
+                found = self.decided(weighed, believed)
+                same = found.chosen.names == names
+                return found, gap if same else self.measure_gap(found, reference)
+        return weighed, likeliest
+
+    def decided(self, weighed: _Weighed, share: dict[tuple[str, ...], float]) -> _Weighed:
+        """The verdict by other weights."""
+        verdict, groups = decide(share, self.settings.verdict)
         chosen = hypothesis_behind(weighed.screening, weighed.leading, share, verdict)
         return replace(weighed, share=share, verdict=verdict, groups=groups, chosen=chosen)
 
@@ -298,13 +309,8 @@ class _Diagnosing:
         dropped = weighed.verdict
         leading = [each for each in weighed.leading if each.names != dropped]
         kept = {k: w for k, w in weighed.share.items() if k not in (dropped, (*dropped, UNKNOWN))}
-        total = sum(kept.values())
-        share = {names: weight / total for names, weight in kept.items()}
-        verdict, groups = decide(share, self.settings.verdict)
-        chosen = hypothesis_behind(weighed.screening, leading, share, verdict)
-        return replace(
-            weighed, leading=leading, share=share, verdict=verdict, groups=groups, chosen=chosen
-        )
+        share = {names: weight / sum(kept.values()) for names, weight in kept.items()}
+        return self.decided(replace(weighed, leading=leading), share)
 
     def weights(
         self,

@@ -30,6 +30,8 @@ class VerdictSettings:
             none.
         min_competing_weight: An explanation that has less weight than this needs no run that tells
             it from the verdict [-].
+        min_explaining_weight: A set that explains most of the gap where the likeliest does not has
+            at least this share of the likeliest's weight [-].
         listed_share: Share of the weight of `unknown` that goes to effects which explain most of a
             large gap [-]: about as often such an effect is right.
         max_retries: Sets of effects that are dropped at most because they make a channel worse.
@@ -40,6 +42,7 @@ class VerdictSettings:
     min_named_weight: float = 0.05
     alarm_ratio: float = 4.5
     min_competing_weight: float = 0.02
+    min_explaining_weight: float = 0.01
     listed_share: float = 0.7
     max_retries: int = 3
     max_competing: int = 3
@@ -153,20 +156,44 @@ def reassign_unknown(share: Weights, name: str) -> dict[tuple[str, ...], float]:
     return {**share, **dict.fromkeys(unknown, 0.0), (name,): moved}
 
 
-def believing_listed(
-    share: Weights, leaves_gap: bool, settings: VerdictSettings = DEFAULT_VERDICT
-) -> dict[tuple[str, ...], float]:
-    """Weights after most of that of `unknown` went to the sets of effects, in proportion to theirs.
-
-    Where the likeliest set explains most of a large gap: what is outside the list hardly ever looks
-    so much like what is on it.
+def explaining_candidates(
+    share: Weights, likeliest: tuple[str, ...], settings: VerdictSettings = DEFAULT_VERDICT
+) -> list[tuple[str, ...]]:
+    """The likeliest set, and the likeliest of each larger size that is not far less likely.
 
     Args:
         share: Weights with `unknown`.
+        likeliest: Names of the likeliest set.
+        settings: Numbers of the verdict.
+    """
+    by_set = weight_by_set(share)
+    least = settings.min_explaining_weight * by_set.get(likeliest, 0.0)
+    larger: dict[int, tuple[str, ...]] = {}
+    for names, weight in by_set.items():
+        if len(names) > len(likeliest) and weight >= least and names not in ((NONE,), (UNKNOWN,)):
+            larger.setdefault(len(names), names)
+    return [likeliest, *(larger[size] for size in sorted(larger))]
+
+
+def believing_listed(
+    share: Weights,
+    explaining: tuple[str, ...],
+    leaves_gap: bool,
+    settings: VerdictSettings = DEFAULT_VERDICT,
+) -> dict[tuple[str, ...], float]:
+    """Weights after most of that of `unknown` went to sets of effects, in proportion to theirs.
+
+    Where a set explains most of a large gap: what is outside the list hardly ever looks so much
+    like what is on it. Smaller sets, which do not, get nothing.
+
+    Args:
+        share: Weights with `unknown`.
+        explaining: Names of the set.
         leaves_gap: The set leaves a gap: something acts beside it.
         settings: Numbers of the verdict.
     """
     by_set = weight_by_set({k: w for k, w in share.items() if k not in ((NONE,), (UNKNOWN,))})
+    by_set = {names: weight for names, weight in by_set.items() if len(names) >= len(explaining)}
     moved = settings.listed_share * share[(UNKNOWN,)]
     believed = {**share, (UNKNOWN,): share[(UNKNOWN,)] - moved}
     for names, weight in by_set.items():

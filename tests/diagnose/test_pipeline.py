@@ -31,6 +31,7 @@ from diagnose.selection.verdict import (
     believing_listed,
     competing_hypotheses,
     decide,
+    explaining_candidates,
     weight_by_name,
 )
 from drftjax.effects.drive import SpeedHarmonics, SpeedRipple
@@ -337,13 +338,36 @@ def test_most_of_the_weight_of_unknown_goes_to_listed_sets_in_proportion():
         ("horizontal_coulomb",): 0.04,
     }
     for leaves_gap, unknown in ((False, 0.31), (True, 0.94)):
-        moved = believing_listed(share, leaves_gap)
+        moved = believing_listed(share, ("drawbar",), leaves_gap)
         assert sum(moved.values()) == pytest.approx(1.0)
         assert decide(moved) == (("drawbar",), [["drawbar", "horizontal_coulomb"]])
         # 0.06 and 0.04 of their own, and six and four tenths of 0.63.
         assert weight_by_name(moved) == pytest.approx(
             {"unknown": unknown, "drawbar": 0.438, "horizontal_coulomb": 0.292, "none": 0.0}
         )
+
+
+def test_where_a_larger_set_explains_the_gap_smaller_ones_get_nothing_of_unknown():
+    share = {("unknown",): 0.9, ("backlash",): 0.08, ("backlash", "speed_gain"): 0.02}
+    moved = believing_listed(share, ("backlash", "speed_gain"), leaves_gap=False)
+    # 0.02 of its own, and all of 0.63.
+    assert moved[("backlash", "speed_gain")] == pytest.approx(0.65)
+    assert moved[("backlash",)] == 0.08
+    assert decide(moved)[0] == ("backlash", "speed_gain")
+
+
+def test_a_larger_set_may_explain_the_gap_unless_it_is_far_less_likely():
+    share = {
+        ("unknown",): 0.8,
+        ("a",): 0.08,
+        ("a", "b"): 0.01,
+        ("a", "c"): 0.005,
+        ("a", "c", "unknown"): 0.015,
+        ("a", "b", "c"): 1e-5,
+    }
+    assert explaining_candidates(share, ("a",)) == [("a",), ("a", "c")]
+    # None that is smaller than the likeliest.
+    assert explaining_candidates(share, ("a", "c")) == [("a", "c")]
 
 
 def test_effects_that_share_their_weight_speak_together():
