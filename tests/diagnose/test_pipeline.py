@@ -18,7 +18,7 @@ from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import shared_model
-from diagnose.pipeline import diagnose
+from diagnose.pipeline import _Diagnosing, _Weighed, diagnose
 from diagnose.report.text import step_sentences
 from diagnose.selection.model_weights import (
     NONE,
@@ -34,6 +34,7 @@ from diagnose.selection.verdict import (
     explaining_candidates,
     weight_by_name,
 )
+from diagnose.settings import DEFAULT_SETTINGS
 from drftjax.effects.drive import SpeedHarmonics, SpeedRipple
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import SinkageGain, TravelGain
@@ -368,6 +369,30 @@ def test_a_larger_set_may_explain_the_gap_unless_it_is_far_less_likely():
     assert explaining_candidates(share, ("a",)) == [("a",), ("a", "c")]
     # None that is smaller than the likeliest.
     assert explaining_candidates(share, ("a", "c")) == [("a", "c")]
+
+
+@pytest.mark.parametrize("explaining", [("a",), ("a", "b"), None])
+def test_the_smallest_set_that_explains_the_gap_is_named(explaining, monkeypatch):
+    """Of a likeliest set and a larger one, each of which may explain a gap of ten floors."""
+    share = {("unknown",): 0.9, ("a",): 0.08, ("a", "b"): 0.02}
+    one, two = (SimpleNamespace(names=names) for names in list(share)[1:])
+    weighed = _Weighed(None, [one, two], {}, share, ("unknown",), [["unknown"]], one)
+
+    def measured(_, weighed, reference):
+        after = 1.0 if weighed.chosen.names == explaining else 6.0
+        gap = {"x": Gap(10.0, after, 1.0, shrinkage(10.0, after, 1.0), None)}
+        return SimpleNamespace(selected=SelectedEffects((), np.zeros(1), [], gap))
+
+    monkeypatch.setattr(_Diagnosing, "measure_gap", measured)
+    diagnosing = _Diagnosing(None, None, print, DEFAULT_SETTINGS)
+    likeliest = diagnosing.measure_gap(weighed, None)
+    found, gap = diagnosing.with_explaining_set(weighed, likeliest, None)
+    if explaining is None:
+        assert (found, gap) == (weighed, likeliest)
+    else:
+        assert found.verdict == found.chosen.names == explaining
+        assert gap.selected.gap["x"].after == 1.0
+        assert weight_by_name(found.share)["unknown"] == pytest.approx(0.27)
 
 
 def test_effects_that_share_their_weight_speak_together():
