@@ -194,6 +194,8 @@ def believing_listed(
     """
     by_set = weight_by_set({k: w for k, w in share.items() if k not in ((NONE,), (UNKNOWN,))})
     by_set = {names: weight for names, weight in by_set.items() if len(names) >= len(explaining)}
+    if not any(by_set.values()):
+        by_set = {explaining: 1.0}  # weights too small for a number
     moved = settings.listed_share * share[(UNKNOWN,)]
     believed = {**share, (UNKNOWN,): share[(UNKNOWN,)] - moved}
     for names, weight in by_set.items():

@@ -355,6 +355,10 @@ def test_where_a_larger_set_explains_the_gap_smaller_ones_get_nothing_of_unknown
     assert moved[("backlash", "speed_gain")] == pytest.approx(0.65)
     assert moved[("backlash",)] == 0.08
     assert decide(moved)[0] == ("backlash", "speed_gain")
+    # Beside a gap of hundreds of floors all listed sets may weigh too little for a number.
+    lost = {("unknown",): 1.0, ("backlash",): 0.0, ("backlash", "speed_gain"): 0.0}
+    moved = believing_listed(lost, ("backlash", "speed_gain"), leaves_gap=True)
+    assert moved[("backlash", "speed_gain", "unknown")] == pytest.approx(0.7)
 
 
 def test_a_larger_set_may_explain_the_gap_unless_it_is_far_less_likely():
