@@ -275,13 +275,14 @@ class _Diagnosing:
     def with_explaining_set(
         self, weighed: _Weighed, likeliest: _MeasuredGap, reference: _ReferenceRuns
     ) -> tuple[_Weighed, _MeasuredGap]:
-        """The verdict of the likeliest set, or else a larger one, that explains most of the gap."""
+        """The verdict of the likeliest set that explains most of the gap, or a larger one, all."""
         settings, share, chosen = self.settings.verdict, weighed.share, weighed.chosen
         sets = {each.names: each for each in (*weighed.leading, chosen)}
         for names in explaining_candidates(share, chosen.names, settings):
             tried = replace(weighed, chosen=sets[names])
             gap = likeliest if names == chosen.names else self.measure_gap(tried, reference)
-            if gap.selected.explains_most(self.settings.selection):
+            may_be = names == chosen.names or not gap.selected.leaves_gap
+            if may_be and gap.selected.explains_most(self.settings.selection):
                 believed = believing_listed(share, names, gap.selected.leaves_gap, settings)
                 found = self.decided(weighed, believed)
                 same = found.chosen.names == names

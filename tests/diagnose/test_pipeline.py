@@ -383,7 +383,8 @@ def test_the_smallest_set_that_explains_the_gap_is_named(explaining, monkeypatch
     weighed = _Weighed(None, [one, two], {}, share, ("unknown",), [["unknown"]], one)
 
     def measured(_, weighed, reference):
-        after = 1.0 if weighed.chosen.names == explaining else 6.0
+        # Two floors are a quarter of the gap, and still a gap.
+        after = 1.0 if weighed.chosen.names == explaining else 2.0 + 4.0 * (weighed.chosen is one)
         gap = {"x": Gap(10.0, after, 1.0, shrinkage(10.0, after, 1.0), None)}
         return SimpleNamespace(selected=SelectedEffects((), np.zeros(1), [], gap))
 
