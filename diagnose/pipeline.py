@@ -275,16 +275,16 @@ class _Diagnosing:
     def with_explaining_set(
         self, weighed: _Weighed, likeliest: _MeasuredGap, reference: _ReferenceRuns
     ) -> tuple[_Weighed, _MeasuredGap]:
-        """The verdict of the likeliest set that explains most of the gap, or a larger one, all."""
-        settings, share, chosen = self.settings.verdict, weighed.share, weighed.chosen
+        """Name the likeliest set, if it explains most of the gap, or a larger one, if all."""
+        settings, limits = self.settings.verdict, self.settings.selection
+        share, chosen = weighed.share, weighed.chosen
         sets = {each.names: each for each in (*weighed.leading, chosen)}
         for names in explaining_candidates(share, chosen.names, settings):
-            tried = replace(weighed, chosen=sets[names])
-            gap = likeliest if names == chosen.names else self.measure_gap(tried, reference)
-            may_be = names == chosen.names or not gap.selected.leaves_gap
-            if may_be and gap.selected.explains_most(self.settings.selection):
-                believed = believing_listed(share, names, gap.selected.leaves_gap, settings)
-                found = self.decided(weighed, believed)
+            is_likeliest, tried = names == chosen.names, replace(weighed, chosen=sets[names])
+            gap = likeliest if is_likeliest else self.measure_gap(tried, reference)
+            leaves_gap = gap.selected.leaves_gap
+            if gap.selected.explains_most(limits) and (is_likeliest or not leaves_gap):
+                found = self.decided(weighed, believing_listed(share, names, leaves_gap, settings))
                 same = found.chosen.names == names
                 return found, gap if same else self.measure_gap(found, reference)
         return weighed, likeliest

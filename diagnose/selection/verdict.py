@@ -30,8 +30,8 @@ class VerdictSettings:
             none.
         min_competing_weight: An explanation that has less weight than this needs no run that tells
             it from the verdict [-].
-        min_explaining_weight: A set that explains most of the gap where the likeliest does not has
-            at least this share of the likeliest's weight [-].
+        min_explaining_weight: A larger set is asked whether it leaves no gap, where the likeliest
+            leaves one, if it has at least this share of the likeliest's weight [-].
         listed_share: Share of the weight of `unknown` that goes to effects which explain most of a
             large gap [-]: about as often such an effect is right.
         max_retries: Sets of effects that are dropped at most because they make a channel worse.
@@ -165,6 +165,9 @@ def explaining_candidates(
         share: Weights with `unknown`.
         likeliest: Names of the likeliest set.
         settings: Numbers of the verdict.
+
+    Returns:
+        Names of the likeliest set, then of one set of each larger size, the smallest first.
     """
     by_set = weight_by_set(share)
     least = settings.min_explaining_weight * by_set.get(likeliest, 0.0)
