@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -35,12 +36,12 @@ from diagnose.gap.zeta_matching import (
     unmatched,
 )
 from diagnose.hypotheses.hypothesis import Hypothesis, top_ranked
-from diagnose.hypotheses.screening import Report, ScreeningResult, screen_effects
+from diagnose.hypotheses.screening import Report, Screening, ScreeningResult, screen_effects
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.localization.localization import localize
 from diagnose.localization.shares import GapShare
 from diagnose.next_runs.discrimination import next_run
-from diagnose.result import Diagnosis, ParameterEstimate
+from diagnose.result import Diagnosis, parameter_estimates
 from diagnose.run_pool import RunPool
 from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
 from diagnose.selection.verdict import (
@@ -56,7 +57,7 @@ from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
 from diagnose.unknown.disturbances import by_stage, estimate_disturbances
 from drftjax.effects.base import AbstractEffect
-from drftjax.effects.catalogue import field_metadata, reported_name, reported_names
+from drftjax.effects.catalogue import reported_name, reported_names
 
 
 def diagnose(
@@ -174,18 +175,18 @@ class _Diagnosing:
         finer = changes_with_finer_plates(
             dataset, found.none.log_zeta, self.pool, settings.discretization
         )
-        weighed = self.weigh(found, finer)
         reference = _ReferenceRuns(
             plain, at_mean_sinkage(plain, self.pool), discretization_errors(dataset, finer)
         )
-        gap = self.measure_gap(weighed, reference)
-        for _ in range(settings.verdict.max_retries):
-            if len(weighed.verdict) < 2 or gap.selected.worsens_no_channel(settings.selection):
-                break
-            weighed = self.without_set(weighed)
-            gap = self.measure_gap(weighed, reference)
-        if weighed.verdict == (UNKNOWN,):
-            weighed, gap = self.with_explaining_set(weighed, gap, reference)
+        first = self.weigh(found, self.leading(found), finer)
+        weighed, gap = self.judge(first, reference)
+        # Look-alikes of the set that is named, which need not be the one with the best score.
+        if len(weighed.verdict) > 1:
+            screening = Screening(found.regressors, self.pool, settings.screening)
+            rivals = screening.rivals(found, weighed.chosen, first.leading)
+            if rivals:
+                every = self.weigh(found, [*first.leading, *rivals], finer, first.held_out)
+                weighed, gap = self.judge(every, reference)
         one_zeta = self.one_zeta_gap(weighed, gap)
         every_gap = (*gap.selected.gap.values(), *one_zeta.values())
         if weighed.verdict != (NONE,) and not any(each.is_reducible for each in every_gap):
@@ -219,7 +220,7 @@ class _Diagnosing:
             weights=weight_by_name(weighed.share),
             groups=[reported_names(group) for group in weighed.groups],
             selected=selected,
-            parameters=self.parameters(chosen, errors) if chosen.names and is_listed else {},
+            parameters=parameter_estimates(chosen, errors) if chosen.names and is_listed else {},
             notes=notes,
             next_run=advice,
             screening=found,
@@ -247,21 +248,47 @@ class _Diagnosing:
             zeta_shares=zeta_shares(found.regressors),
         )
 
-    def weigh(self, found: ScreeningResult, finer: Sequence[np.ndarray]) -> _Weighed:
+    def judge(self, weighed: _Weighed, reference: _ReferenceRuns) -> tuple[_Weighed, _MeasuredGap]:
+        """The verdict by what its set leaves of the gap."""
+        settings, gap = self.settings, self.measure_gap(weighed, reference)
+        for _ in range(settings.verdict.max_retries):
+            if len(weighed.verdict) < 2 or gap.selected.worsens_no_channel(settings.selection):
+                break
+            weighed = self.without_set(weighed)
+            gap = self.measure_gap(weighed, reference)
+        if weighed.verdict == (UNKNOWN,):
+            return self.with_explaining_set(weighed, gap, reference)
+        return weighed, gap
+
+    def leading(self, found: ScreeningResult) -> list[Hypothesis]:
+        """The hypotheses that are weighed."""
+        limits = self.settings.held_out.of_sizes(found.by_size)
+        ranked = zip(found.by_size, limits, strict=True)
+        return [each for several, count in ranked for each in top_ranked(several, count)]
+
+    def weigh(
+        self,
+        found: ScreeningResult,
+        leading: Sequence[Hypothesis],
+        finer: Sequence[np.ndarray],
+        known: Mapping[tuple[str, ...], HeldOutPrediction] = MappingProxyType({}),
+    ) -> _Weighed:
         """Predict held-out runs by the leading hypotheses, and weigh them.
 
-        `finer` is by run what finer plates change, shape (channels, samples).
+        Args:
+            found: Of the screening.
+            leading: Hypotheses.
+            finer: By run, what finer plates change, shape (channels, samples).
+            known: Predictions that were made already, by names.
         """
         self.report("predicting the held-out runs")
-        limits = self.settings.held_out
-        leading = [
-            each
-            for several, count in zip(found.by_size, limits.of_sizes(found.by_size), strict=True)
-            for each in top_ranked(several, count)
+        predictions = [
+            *known.values(),
+            *self.pool.map_outer(
+                lambda each: predict_held_out(found.regressors, each, self.pool),
+                [each for each in leading if each.names not in known],
+            ),
         ]
-        predictions = self.pool.map_outer(
-            lambda each: predict_held_out(found.regressors, each, self.pool), leading
-        )
         # With numbers at which a held-out run cannot be simulated an effect explains nothing.
         held_out = {
             each.hypothesis.names: each
@@ -328,13 +355,14 @@ class _Diagnosing:
             return regressors.block_mean_squares(left, self.pool)[0]
 
         of_none = power(none.residual)
-        scored = [_scored(none, of_none, of_none, none.fit.zeta_variance)]
+        scored = [ScoredHypothesis.of(none, of_none, of_none, none.fit.zeta_variance)]
         for each in leading:
             predicted = held_out[each.names]
             zetas = predicted.log_zeta + regressors.log_reference_zeta
             spread = float(np.var(zetas, ddof=1)) if len(zetas) > 1 else 0.0
             fitted = power(each.residual) if each.is_simulated else each.fit.mean_square
-            scored.append(_scored(each, power(predicted.residual), fitted, spread))
+            held = power(predicted.residual)
+            scored.append(ScoredHypothesis.of(each, held, fitted, spread))
         matrices, residuals = regressors.gram_matrices, [e.residual for e in (none, *leading)]
         by_repeats = repeat_variance(regressors.dataset, residuals, none.by_zeta)
         by_plates = regressors.noise_power + power(of_positions(self.dataset, finer))
@@ -468,33 +496,3 @@ class _Diagnosing:
             share = reassign_unknown(weighed.share, meant)
             weighed = replace(weighed, share=share, verdict=(meant,), groups=[[meant]])
         return weighed, selected, notes
-
-    def parameters(
-        self, chosen: Hypothesis, error: np.ndarray
-    ) -> dict[str, dict[str, ParameterEstimate]]:
-        """The chosen effects' numbers with standard errors, by effect and field."""
-        found: dict[str, dict[str, ParameterEstimate]] = {}
-        for free, at, spread in zip(chosen.model.free, chosen.coordinates, error, strict=True):
-            effect = chosen.model.effects[free.index]
-            value = float(free.value(at))
-            scale = free.scale if free.scale is not None else value
-            fields = found.setdefault(reported_name(effect.about.name), {})
-            unit = field_metadata(effect)[free.field]["unit"]
-            fields[free.field] = ParameterEstimate(value, float(scale * spread), unit)
-        return found
-
-
-def _scored(
-    each: Hypothesis,
-    held_out_power: np.ndarray,
-    fitted_power: np.ndarray,
-    held_out_zeta_variance: float,
-) -> ScoredHypothesis:
-    return ScoredHypothesis(
-        each.names,
-        held_out_power,
-        fitted_power,
-        each.fit.zeta_variance,
-        len(each.coordinates),
-        held_out_zeta_variance,
-    )

@@ -23,7 +23,7 @@ from diagnose.unknown.correction_fit import Correction, UnknownEffect
 from drftjax.common.packages import optional_package
 from drftjax.common.rich_text import summary_html, summary_text
 from drftjax.common.text import value_with_error
-from drftjax.effects.catalogue import effect_class, reported_name
+from drftjax.effects.catalogue import effect_class, field_metadata, reported_name
 from drftjax.recorded.observation import SHOWN
 from drftjax.results.provenance import Provenance
 
@@ -49,6 +49,26 @@ class ParameterEstimate:
     value: float
     error: float
     unit: str
+
+
+def parameter_estimates(
+    chosen: Hypothesis, errors: np.ndarray
+) -> dict[str, dict[str, ParameterEstimate]]:
+    """The numbers of a hypothesis's effects, by effect and field.
+
+    Args:
+        chosen: The hypothesis.
+        errors: Standard errors of its coordinates, shape (free,).
+    """
+    found: dict[str, dict[str, ParameterEstimate]] = {}
+    for free, at, spread in zip(chosen.model.free, chosen.coordinates, errors, strict=True):
+        effect = chosen.model.effects[free.index]
+        value = float(free.value(at))
+        scale = free.scale if free.scale is not None else value
+        fields = found.setdefault(reported_name(effect.about.name), {})
+        unit = field_metadata(effect)[free.field]["unit"]
+        fields[free.field] = ParameterEstimate(value, float(scale * spread), unit)
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,7 +16,7 @@ from diagnose.gap.discretization_error import DEFAULT_DISCRETIZATION, Discretiza
 from diagnose.gap.gap import DEFAULT_GAP, GapSettings
 from diagnose.gap.selected_effects import DEFAULT_EFFECT_SELECTION, EffectSelectionSettings
 from diagnose.gap.standard_errors import DEFAULT_STANDARD_ERROR, StandardErrorSettings
-from diagnose.hypotheses.screening import DEFAULT_SCREENING, ScreeningSettings
+from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.bed import AbstractBed
 from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings

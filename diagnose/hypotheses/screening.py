@@ -10,13 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnose.dataset import (
-    DEFAULT_INITIAL_ZETA,
-    InitialZetaSettings,
-    RigDataset,
-    match_initial_zeta,
-)
-from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings, exchanged_sets
+from diagnose.dataset import RigDataset, match_initial_zeta
+from diagnose.hypotheses.exchange import exchanged_sets
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     best_of_each,
@@ -26,113 +21,24 @@ from diagnose.hypotheses.hypothesis import (
     top_ranked,
 )
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
-from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, ranked_effects
-from diagnose.hypotheses.refinement import (
-    DEFAULT_REFINEMENT,
-    RefinementSettings,
-    predicted_score,
-    refine,
-    relinearize,
-)
+from diagnose.hypotheses.linear_ranking import ranked_effects
+from diagnose.hypotheses.refinement import predicted_score, refine, relinearize
 from diagnose.hypotheses.set_screening import (
-    DEFAULT_LARGER_SETS,
-    DEFAULT_PAIRS,
     SetScreeningSettings,
     race,
     refine_sets,
     without_effect,
 )
-from diagnose.linear.linear_fit import (
-    DEFAULT_LINEAR_FIT,
-    LinearFit,
-    LinearFitSettings,
-    floor_inflation,
-    log_score,
-)
+from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
+from diagnose.linear.linear_fit import LinearFit, floor_inflation, log_score
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import shared_model
-from diagnose.model.linearized_run import DEFAULT_LINEARIZATION, LinearizationSettings
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.repeats import group_by_condition
 
 Report = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class ScreeningSettings:
-    """Numbers by which effects are screened.
-
-    Attributes:
-        min_simulated: Number of effects, ranked by the linear score, that are refined by simulation
-            at least, even where no linear fit gains anything: linear fits may order effects, not
-            decide.
-        max_simulated: The same, at most. Where the reference model is far off linear fits do not
-            order effects either, and all that gain are simulated.
-        min_linear_gain: Beyond `min_simulated` an effect is simulated where a linear fit with it
-            gains more log score than this over one without [-].
-        rankings: Linear fits rank effects once by each of these, which take turns.
-        reference_simulations: Simulations by which the reference model's zetas are refined.
-        first_simulations: Simulations of each single effect before the leading ones go on.
-        max_continued: Leading hypotheses that go on.
-        max_rounds: Times that derivatives are computed again, at most.
-        simulations_per_round: Simulations with each, at most.
-        min_round_gain: A further round is made while the last one gained this much log score [-].
-        hopeless_deficit: A hypothesis that is this far behind the best in log score, by a linear
-            fit about it or after as much as the last round gained once more, gets none [-].
-        far_from_floor: The reference model is far off where it misses a block by more than this
-            many model errors [-]: there strengths far from zero are tried one by one, too.
-        far_from_scatter: Likewise where the runs' zeta scatters by more than this many times the
-            bed's scatter [-].
-        pair_floor: Pairs are looked for where the best single effect leaves more than this many
-            model errors in the slow part of a channel [-].
-        max_effects: Effects in one hypothesis at most.
-        min_set_gain: A further effect is looked for while the last one gained this much log score
-            [-]: about twice what an effect of one number costs in a weight, whose evidence counts
-            half as much.
-        min_set_share: The same while it gained this share of what was left to gain [-]. Effects
-            that the rig has take a gap away in few steps; what is outside the list is nibbled at.
-        max_exchanges: Times that effects are exchanged for look-alikes, at most.
-        max_leading: Leading explanations of each size that get exact derivatives at the end.
-        initial_zeta: Numbers of the search for the zeta where all is linearised.
-        linearization: Numbers of the linearisation.
-        linear_fit: Weights of linear fits, and of the log score.
-        refinement: Numbers of the refinement by simulation.
-        pairs: Numbers of the choice of pairs.
-        larger_sets: The same of sets of three effects and more.
-        exchange: Numbers of the choice of look-alikes.
-    """
-
-    min_simulated: int = 6
-    max_simulated: int = 16
-    min_linear_gain: float = 1.5
-    rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
-    reference_simulations: int = 3
-    first_simulations: int = 2
-    max_continued: int = 3
-    max_rounds: int = 6
-    simulations_per_round: int = 5
-    min_round_gain: float = 3.0
-    hopeless_deficit: float = 100.0
-    far_from_floor: float = 30.0
-    far_from_scatter: float = 10.0
-    pair_floor: float = 1.5
-    max_effects: int = 6
-    min_set_gain: float = 8.0
-    min_set_share: float = 0.1
-    max_exchanges: int = 3
-    max_leading: int = 4
-    initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA
-    linearization: LinearizationSettings = DEFAULT_LINEARIZATION
-    linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
-    refinement: RefinementSettings = DEFAULT_REFINEMENT
-    pairs: SetScreeningSettings = DEFAULT_PAIRS
-    larger_sets: SetScreeningSettings = DEFAULT_LARGER_SETS
-    exchange: ExchangeSettings = DEFAULT_EXCHANGE
-
-
-DEFAULT_SCREENING = ScreeningSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +51,7 @@ class ScreeningResult:
         singles: Effects simulated alone, best first.
         pairs: Pairs simulated, best first.
         larger_sets: Sets of three effects and more, best first within one size, by size.
+        exchanged: Sets, by names, in which look-alikes were tried in each effect's place.
     """
 
     regressors: Regressors
@@ -152,6 +59,7 @@ class ScreeningResult:
     singles: tuple[Hypothesis, ...]
     pairs: tuple[Hypothesis, ...]
     larger_sets: tuple[tuple[Hypothesis, ...], ...] = ()
+    exchanged: frozenset[frozenset[str]] = frozenset()
 
     @property
     def by_size(self) -> tuple[tuple[Hypothesis, ...], ...]:
@@ -229,6 +137,7 @@ class Screening:
         if is_far:
             singles = self.with_large_strengths(singles)
         here, by_size = self.at_leading([self.finish(singles), []])
+        exchanged = frozenset[frozenset[str]]()
         if by_size[0] and self.leaves_gap(by_size[0][0]):
             report("pairs of effects")
             pairs = self.settings.pairs.where(is_far)
@@ -237,11 +146,11 @@ class Screening:
             here, by_size = here.at_leading(by_size)
             here.add_effects(by_size, larger_sets, report)
             here, by_size = here.at_leading(by_size)
-            here.exchange_effects(by_size, larger_sets, report)
+            exchanged = here.exchange_effects(by_size, larger_sets, report)
             here, by_size = here.at_leading(by_size)
         best = max((several[0].score for several in by_size if several), default=-np.inf)
         alone, in_pairs, *larger = (here.refine_leading(each, best) for each in by_size)
-        return ScreeningResult(here.regressors, none, alone, in_pairs, tuple(larger))
+        return ScreeningResult(here.regressors, none, alone, in_pairs, tuple(larger), exchanged)
 
     def at_leading(
         self, by_size: list[list[Hypothesis]]
@@ -297,7 +206,7 @@ class Screening:
 
     def exchange_effects(
         self, by_size: list[list[Hypothesis]], limits: SetScreeningSettings, report: Report
-    ) -> None:
+    ) -> frozenset[frozenset[str]]:
         """Try look-alikes in the places of the best set's effects, again while that pays.
 
         Args:
@@ -305,10 +214,12 @@ class Screening:
                 take the place of larger ones.
             limits: Numbers of the choice of larger sets.
             report: Called with what is done next.
+
+        Returns:
+            Names of the sets in which they were tried.
         """
-        settings, done = self.settings, set[frozenset[str]]()
-        of_place = replace(limits, max_continued=settings.exchange.max_continued)
-        for _ in range(settings.max_exchanges):
+        done = set[frozenset[str]]()
+        for _ in range(self.settings.max_exchanges):
             # Look-alikes belong to the set that is told, which may be a part of the one found.
             self.take_out_further(by_size)
             leading = [several[0] for several in by_size[1:] if several]
@@ -319,26 +230,66 @@ class Screening:
             done.add(frozenset(best.names))
             report(f"look-alikes in sets of {len(best.names)} effects")
             place = len(best.names) - 1
-            by_place = exchanged_sets(
-                self.regressors,
-                best,
-                by_size[place],
-                self.pool,
-                settings.exchange.where(self.leaves_gap(best)),
-            )
-            tried = [
-                each
-                for starts in by_place
-                for each in race(self.regressors, starts, self.pool, of_place, settings.refinement)
-            ]
-            # A look-alike with which no run can be simulated says nothing.
-            refined = [each for each in self.finish(tried, best.score) if each.is_simulated]
+            refined = self.with_look_alikes(best, by_size[place], limits)
             by_size[place] = best_of_each([*by_size[place], *refined])
-            if by_size[place][0].score < best.score + settings.min_round_gain:
+            if by_size[place][0].score < best.score + self.settings.min_round_gain:
                 break
             del by_size[place + 1 :]
             self.add_effects(by_size, limits, report)
         self.take_out_further(by_size)
+        return frozenset(done)
+
+    def with_look_alikes(
+        self, best: Hypothesis, known: Sequence[Hypothesis], limits: SetScreeningSettings
+    ) -> list[Hypothesis]:
+        """A set with look-alikes in the places of its effects, simulated, best first.
+
+        Args:
+            best: The set.
+            known: Sets that were simulated already.
+            limits: Numbers of the choice of larger sets.
+        """
+        settings, leaves_gap = self.settings, self.leaves_gap(best)
+        exchange = settings.exchange.where(leaves_gap)
+        by_place = exchanged_sets(self.regressors, best, known, self.pool, exchange)
+        of_place = replace(limits, max_continued=exchange.max_continued)
+        tried = [
+            each
+            for starts in by_place
+            for each in race(self.regressors, starts, self.pool, of_place, settings.refinement)
+        ]
+        # A look-alike with which no run can be simulated says nothing.
+        return [each for each in self.finish(tried, best.score) if each.is_simulated]
+
+    def rivals(
+        self, found: ScreeningResult, told: Hypothesis, weighed: Sequence[Hypothesis]
+    ) -> list[Hypothesis]:
+        """Sets with another effect in one's place that do about as well as the one that is told.
+
+        The screening exchanges the effects of the set with the best score, which need not be the
+        one that is told.
+
+        Args:
+            found: What this screening found.
+            told: A set of several effects, one of those found.
+            weighed: Hypotheses that are weighed already, and looked for no further.
+        """
+        names, known = frozenset(told.names), found.by_size[len(told.names) - 1]
+        tried = []
+        if names not in found.exchanged:
+            limits = self.settings.larger_sets.where(self.is_far(found.none))
+            tried = self.with_look_alikes(told, known, limits)
+        least = told.score - self.settings.min_set_gain
+        seen = {frozenset(each.names) for each in weighed}
+        near = [
+            each
+            for each in best_of_each([*known, *tried])
+            if each.is_simulated
+            and each.score > least
+            and len(names.difference(each.names)) == 1
+            and frozenset(each.names) not in seen
+        ]
+        return list(self.refine_leading(near[: self.settings.max_leading], told.score))
 
     def take_out_further(self, by_size: list[list[Hypothesis]]) -> None:
         """Try the best set without one effect after another, while that costs little."""

@@ -39,6 +39,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.linear.linear_fit import (
     DEFAULT_LINEAR_FIT,
     Block,
@@ -119,6 +120,19 @@ class ScoredHypothesis:
     zeta_variance: float
     parameter_count: int
     held_out_zeta_variance: float
+
+    @classmethod
+    def of(
+        cls,
+        each: Hypothesis,
+        held_out_power: np.ndarray,
+        fitted_power: np.ndarray,
+        held_out_zeta_variance: float,
+    ) -> "ScoredHypothesis":
+        """The numbers of a hypothesis that was fitted; for the rest see the attributes."""
+        zeta_variance, count = each.fit.zeta_variance, len(each.coordinates)
+        powers = held_out_power, fitted_power
+        return cls(each.names, *powers, zeta_variance, count, held_out_zeta_variance)
 
 
 def log_weights(

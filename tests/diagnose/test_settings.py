@@ -8,7 +8,8 @@ import pytest
 
 from diagnose.gap.selected_effects import EffectSelectionSettings
 from diagnose.hypotheses.refinement import RefinementSettings
-from diagnose.hypotheses.screening import ScreeningSettings, screen_effects
+from diagnose.hypotheses.screening import screen_effects
+from diagnose.hypotheses.settings import ScreeningSettings
 from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors

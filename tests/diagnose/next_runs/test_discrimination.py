@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset
-from diagnose.hypotheses.screening import ScreeningSettings, screen_effects
+from diagnose.hypotheses.screening import screen_effects
+from diagnose.hypotheses.settings import ScreeningSettings
 from diagnose.next_runs.discrimination import (
     DEFAULT_NEXT_RUN,
     NextRunSettings,
