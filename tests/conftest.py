@@ -4,14 +4,15 @@ JAX reads these variables when it is first imported, and so do the programs that
 file itself does not import it.
 """
 
+import ctypes
 import gc
-import itertools
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 
 from drftjax.common.jax_config import with_options
@@ -130,18 +131,23 @@ def drft(monkeypatch, capsys) -> "Drft":
     return Drft(monkeypatch, capsys)
 
 
-# So many files' compiled programs a worker holds at most, some 60 MB each; a longest file's alone.
-FILES_HELD = 3
-_files = itertools.count(1)
+# Memory of a worker beyond which it frees its compiled programs [bytes]: three workers leave room
+# beside them on a machine of 8 GB. To trace and load programs anew takes time.
+HELD = 1.2e9
 
 
 @pytest.fixture(scope="module", autouse=True)
-def compiled_programs_go_with_their_modules(request):
-    """Free the compiled programs of a few files, or a few workers would fill the memory.
-
-    Not of each: to trace and load the hundred small ones that all of them ask for takes a second.
-    """
+def compiled_programs_go_before_they_fill_the_memory():
+    """Free the compiled programs after a file with which a worker holds too much."""
     yield
-    full = next(_files) % FILES_HELD == 0 or _named(request.path) in LONGEST
-    if full and "jax" in sys.modules:
+    if _memory_held() > HELD and "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
+        gc.collect()
+        _memory_held()
+
+
+def _memory_held() -> int:
+    """Memory of this process [bytes], once what it freed has gone back to the system."""
+    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):  # of the GNU C library
+        trim(0)
+    return psutil.Process().memory_info().rss
