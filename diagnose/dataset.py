@@ -19,6 +19,7 @@ from diagnose.model.augmented_model import (
     predict,
     predict_with_jacobian,
     program_within,
+    slopes,
 )
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
@@ -252,7 +253,7 @@ class RigDataset:
         log_zeta: np.ndarray,
         coordinates: np.ndarray,
     ) -> list[np.ndarray]:
-        """By run, derivatives of the channels at the times compared, by the simulator itself.
+        """By run, slopes of the channels at the times compared, by the simulator itself.
 
         Args:
             pool: Threads.
@@ -261,14 +262,13 @@ class RigDataset:
             coordinates: The model's free numbers, shape (free,) or (runs, free).
 
         Returns:
-            By (own log zeta, free numbers) [m, N, N m], each of shape (channels, samples, 1 +
-            free).
+            By (own log zeta, free numbers), each of shape (channels, samples, 1 + free).
         """
         self.compile(pool, predict_with_jacobian, directions)
         of_runs = np.broadcast_to(coordinates, (len(self.runs), np.shape(coordinates)[-1]))
 
         def of(run: int) -> np.ndarray:
-            _, slope = predict_with_jacobian(
+            slope = slopes(
                 directions,
                 self.channels,
                 self.trials[run],

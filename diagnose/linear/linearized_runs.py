@@ -13,6 +13,7 @@ from diagnose.model.linearized_run import (
     linearize,
     steps_per_node,
     with_ripple,
+    without_growth,
 )
 from diagnose.run_pool import RunPool
 from drftjax.recorded.batch import padded_size
@@ -77,4 +78,4 @@ def linearize_run(
     nodes = [int(r) * t.every // s for r, t, s in zip(rows, dataset.trials, steps, strict=False)]
     size = max(MIN_PADDED_NODES, padded_size(max(nodes)))
     found = linearize(trial, jnp.asarray(steps[run]), jnp.asarray(nodes[run]), size)
-    return with_ripple(found, pitch(trial), settings)
+    return with_ripple(without_growth(found, settings), pitch(trial), settings)

@@ -380,6 +380,57 @@ def predict_with_jacobian(
     return np.asarray(value)[rows], np.asarray(slope)[rows][..., : 1 + free]
 
 
+# Change of log zeta, and of numbers in their typical sizes, over which a secant is taken [-].
+SECANT = 0.05
+
+
+def slopes(
+    directions: Directions,
+    channels: tuple[str, ...],
+    trial: Trial,
+    observed: PaddedObservations,
+    log_zeta: Float[Array, ""],
+    coordinates: np.ndarray,
+) -> np.ndarray:
+    """Derivatives of one run, or its secants where it has no derivative that is of use.
+
+    Where a wheel breaks loose a derivative may be a million times what any change that can be seen
+    does to the run (`diagnose.model.linearized_run.without_growth`).
+
+    Arguments as for `predict_with_jacobian`.
+
+    Returns:
+        By (log zeta, coordinates), shape (channels, samples, 1 + free).
+    """
+    run = channels, trial, observed
+    _, found = predict_with_jacobian(directions, *run, log_zeta, coordinates)
+    # The height is about the sinkage times a change of log zeta, and less by all else.
+    most = float(trial.simulator.wheel.cut().radius)
+    if "z" not in channels or np.abs(found[channels.index("z")]).max() <= most:
+        return found
+    mix, free, rows = directions.mix, directions.free, _rows_of(channels)
+    at = directions.start + mix[:, :free] @ coordinates
+    seen = _of_all_channels(observed, channels)
+
+    def simulated(step: np.ndarray) -> np.ndarray:
+        """The run at a step of (log zeta, coordinates)."""
+        model, moved = (directions.program, directions.held), at + mix[:, :free] @ step[1:]
+        zeta = log_zeta + step[0]
+        return np.asarray(
+            _simulate_compiled(*model, CHANNELS, trial, seen, zeta, jnp.asarray(moved, float))
+        )[rows]
+
+    here = simulated(np.zeros(1 + free))
+    for column, ahead in enumerate(SECANT * np.eye(1 + free)):
+        found[..., column] = 0
+        for step, sense in ((ahead, 1), (-ahead, -1)):  # behind, where ahead nothing can be run
+            moved = simulated(step)
+            if np.isfinite(moved).all():
+                found[..., column] = sense * (moved - here) / SECANT
+                break
+    return found
+
+
 @eqx.filter_jit
 def _predict_with_jacobian(
     model: AugmentedModel,
