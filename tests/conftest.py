@@ -133,7 +133,7 @@ def drft(monkeypatch, capsys) -> "Drft":
 
 # Memory of a worker beyond which it frees its compiled programs [bytes]: three workers leave room
 # beside them on a machine of 8 GB. To trace and load programs anew takes time.
-HELD = 1.2e9
+HELD = 1e9
 
 
 @pytest.fixture(scope="module", autouse=True)
