@@ -400,12 +400,13 @@ def slopes(
     Arguments as for `predict_with_jacobian`.
 
     Returns:
-        By (log zeta, coordinates), shape (channels, samples, 1 + free).
+        By (log zeta, coordinates), shape (channels, samples, 1 + free); zero where nothing can be
+        run.
     """
     run = channels, trial, observed
     _, found = predict_with_jacobian(directions, *run, log_zeta, coordinates)
-    # The height is about the sinkage times a change of log zeta, and less by all else.
-    most = float(trial.simulator.wheel.cut().radius)
+    # The height changes by about the sinkage times a change of log zeta, and by less for all else.
+    most = 2 * float(trial.simulator.wheel.cut().radius)
     if "z" not in channels or np.abs(found[channels.index("z")]).max() <= most:
         return found
     mix, free, rows = directions.mix, directions.free, _rows_of(channels)
@@ -420,13 +421,13 @@ def slopes(
             _simulate_compiled(*model, CHANNELS, trial, seen, zeta, jnp.asarray(moved, float))
         )[rows]
 
-    here = simulated(np.zeros(1 + free))
+    here, found = simulated(np.zeros(1 + free)), np.zeros_like(found)
     for column, ahead in enumerate(SECANT * np.eye(1 + free)):
-        found[..., column] = 0
-        for step, sense in ((ahead, 1), (-ahead, -1)):  # behind, where ahead nothing can be run
-            moved = simulated(step)
-            if np.isfinite(moved).all():
-                found[..., column] = sense * (moved - here) / SECANT
+        for step, sense in ((ahead, 1), (-ahead, -1)):
+            change = simulated(step) - here
+            # Behind, where ahead the wheel sinks past its plates; nothing, where it does here.
+            if np.isfinite(change).all():
+                found[..., column] = sense * change / SECANT
                 break
     return found
 

@@ -71,20 +71,51 @@ def test_a_run_without_growth_is_left_as_it_is(plain):
     assert without_growth(plain) is plain
 
 
-def test_slopes_are_secants_where_derivatives_are_of_no_use(dataset, pool, monkeypatch):
-    model = AugmentedModel((effect_class("drawbar"),))
-    directions = directions_within(model, dataset.shared)
-    at = np.array([0.5])
-    expected = dataset.derivatives(pool, directions, LOG_ZETA, at)
+DIRECTIONS = directions_within(AugmentedModel((effect_class("drawbar"),)), AugmentedModel())
+PULLED = np.array([0.5])
+
+
+@pytest.fixture
+def exploded(monkeypatch):
+    """Derivatives by the simulator that are of no use."""
     inner = augmented_model._predict_with_jacobian
 
-    def exploded(*arguments):
+    def differentiated(*arguments):
         value, slope = inner(*arguments)
         return value, np.asarray(slope) * 1e8
 
-    monkeypatch.setattr(augmented_model, "_predict_with_jacobian", exploded)
-    found = dataset.derivatives(pool, directions, LOG_ZETA, at)
-    for run, derivative in zip(found, expected, strict=True):
+    monkeypatch.setattr(augmented_model, "_predict_with_jacobian", differentiated)
+
+
+@pytest.fixture(scope="module")
+def derivatives(dataset, pool) -> list[np.ndarray]:
+    return dataset.derivatives(pool, DIRECTIONS, LOG_ZETA, PULLED)
+
+
+def test_slopes_are_secants_where_derivatives_are_of_no_use(dataset, derivatives, exploded, pool):
+    found = dataset.derivatives(pool, DIRECTIONS, LOG_ZETA, PULLED)
+    for run, derivative in zip(found, derivatives, strict=True):
         most = np.abs(derivative).max(axis=1)
         assert np.all(np.abs(run - derivative).max(axis=1) < BENT * most)
         assert not np.array_equal(run, derivative)
+
+
+def test_a_wheel_that_sinks_past_its_plates_has_no_slopes(
+    dataset, derivatives, exploded, pool, monkeypatch
+):
+    inner, given = augmented_model._simulate_compiled, float(LOG_ZETA[0])
+
+    def sinks(low: float, high: float):
+        def simulated(*arguments):
+            table = np.array(inner(*arguments))
+            return np.where(low < float(arguments[5]) - given < high, np.nan, table)
+
+        return simulated
+
+    monkeypatch.setattr(augmented_model, "_simulate_compiled", sinks(0.01, np.inf))
+    (behind, *_) = dataset.derivatives(pool, DIRECTIONS, LOG_ZETA, PULLED)
+    most = np.abs(derivatives[0][..., 0]).max(axis=1)
+    assert np.all(np.abs((behind - derivatives[0])[..., 0]).max(axis=1) < BENT * most)
+    monkeypatch.setattr(augmented_model, "_simulate_compiled", sinks(-0.01, 0.01))
+    (nothing, *_) = dataset.derivatives(pool, DIRECTIONS, LOG_ZETA, PULLED)
+    assert not nothing.any()
