@@ -236,15 +236,21 @@ def _simulate(
     return between_rows(_nan_past_coverage(table, channels, trial), observed)
 
 
+# No rig's wheel goes so far, nor bears so much [m, N, N m]: a run that does has run away, as with a
+# damping below zero.
+RUN_AWAY = 1e6
+
+
 def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
-    """The channels of a run, or no numbers where its wheel sinks past the plates it carries."""
-    if "z" not in channels:
-        return table
-    cut = trial.simulator.wheel.cut()
-    limit = jnp.where(
-        cut.sinkage_limit < cut.radius, MAX_COVERED_SHARE * cut.sinkage_limit, jnp.inf
-    )
-    return jnp.where(jnp.max(-table[channels.index("z")]) > limit, jnp.nan, table)
+    """The channels of a run, or no numbers where it runs away, or sinks past its plates."""
+    lost = jnp.max(jnp.abs(table)) > RUN_AWAY
+    if "z" in channels:
+        cut = trial.simulator.wheel.cut()
+        limit = jnp.where(
+            cut.sinkage_limit < cut.radius, MAX_COVERED_SHARE * cut.sinkage_limit, jnp.inf
+        )
+        lost |= jnp.max(-table[channels.index("z")]) > limit
+    return jnp.where(lost, jnp.nan, table)
 
 
 _simulate_compiled = eqx.filter_jit(_simulate)
@@ -286,7 +292,7 @@ def predict(
 
     Returns:
         Simulated channels [m, N, N m], shape (channels, samples); NaN where the wheel sinks past
-        the plates it carries.
+        the plates it carries, or runs away.
     """
     program = program_within(model, shared)
     at = jnp.asarray(program.start + program.mix @ coordinates, float)

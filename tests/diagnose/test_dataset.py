@@ -103,6 +103,15 @@ def test_what_sinks_past_the_plates_carried_has_no_numbers():
         assert np.isnan(told).all() == (deepest > limit) == (log_zeta < 0)
 
 
+# Of the typical size: one that slows the wheel down, and one that drives it away.
+@pytest.mark.parametrize(("damping", "runs_away"), [(1.0, False), (-30.0, True)])
+def test_a_wheel_that_runs_away_has_no_numbers(damping, runs_away):
+    model = AugmentedModel((effect_class("horizontal_viscous"),))
+    told = dataset_with().prediction(model, 0, 0.0, np.array([damping]))
+    assert np.isnan(told).all() == runs_away
+    assert np.isfinite(told).all() == (not runs_away)
+
+
 def test_a_wheel_that_sinks_as_deep_as_its_plates_reach_keeps_them_all():
     each = coarse("deep", recorded(setup_of(zeta=0.2)))
     dataset = RigDataset.of([each])
