@@ -236,9 +236,9 @@ def _simulate(
     return between_rows(_nan_past_coverage(table, channels, trial), observed)
 
 
-# No rig's wheel goes so far, nor bears so much [m, N, N m]: a run that does has run away, as with a
-# damping below zero.
-RUN_AWAY = 1e6
+# A run beyond this has run away, as with a damping below zero [m, N, N m]. Products of what goes
+# much further pass the range of numbers.
+RUN_AWAY = 1e12
 
 
 def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
