@@ -262,7 +262,7 @@ class RigDataset:
             coordinates: The model's free numbers, shape (free,) or (runs, free).
 
         Returns:
-            By (own log zeta, free numbers), each of shape (channels, samples, 1 + free).
+            [m, N, N m] by (own log zeta, free numbers), shape (channels, samples, 1 + free) each.
         """
         self.compile(pool, predict_with_jacobian, directions)
         of_runs = np.broadcast_to(coordinates, (len(self.runs), np.shape(coordinates)[-1]))

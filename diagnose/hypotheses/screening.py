@@ -249,8 +249,8 @@ class Screening:
             known: Sets that were simulated already.
             limits: Numbers of the choice of larger sets.
         """
-        settings, leaves_gap = self.settings, self.leaves_gap(best)
-        exchange = settings.exchange.where(leaves_gap)
+        settings = self.settings
+        exchange = settings.exchange.where(self.leaves_gap(best))
         by_place = exchanged_sets(self.regressors, best, known, self.pool, exchange)
         of_place = replace(limits, max_continued=exchange.max_continued)
         tried = [

@@ -325,6 +325,10 @@ class Directions:
         """Model and number of columns: they tell one compiled program from another."""
         return self.program, self.mix.shape[1]
 
+    def at(self, coordinates: np.ndarray) -> np.ndarray:
+        """The program's coordinates [-] at the model's, shape (free,)."""
+        return self.start + self.mix[:, : self.free] @ coordinates
+
 
 def directions_within(model: AugmentedModel, common: AugmentedModel) -> Directions:
     """Differentiate a model by the program of a larger one, if that has all of its effects.
@@ -366,8 +370,7 @@ def predict_with_jacobian(
         Simulated channels [m, N, N m] in whole steps of the trial, shape (channels, samples), and
         their derivatives by (log zeta, coordinates), shape (channels, samples, 1 + free).
     """
-    mix, free = directions.mix, directions.free
-    at = directions.start + mix[:, :free] @ coordinates
+    mix, free, at = directions.mix, directions.free, directions.at(coordinates)
     along = np.zeros((1 + mix.shape[1], 1 + len(at)))
     along[0, 0] = 1
     along[1:, 1:] = mix.T
@@ -406,8 +409,8 @@ def slopes(
     Arguments as for `predict_with_jacobian`.
 
     Returns:
-        By (log zeta, coordinates), shape (channels, samples, 1 + free); zero where nothing can be
-        run.
+        By (log zeta, coordinates) [m, N, N m], shape (channels, samples, 1 + free); zero where
+        nothing can be run.
     """
     run = channels, trial, observed
     _, found = predict_with_jacobian(directions, *run, log_zeta, coordinates)
@@ -415,20 +418,19 @@ def slopes(
     most = 2 * float(trial.simulator.wheel.cut().radius)
     if "z" not in channels or np.abs(found[channels.index("z")]).max() <= most:
         return found
-    mix, free, rows = directions.mix, directions.free, _rows_of(channels)
-    at = directions.start + mix[:, :free] @ coordinates
-    seen = _of_all_channels(observed, channels)
+    seen, rows = _of_all_channels(observed, channels), _rows_of(channels)
 
     def simulated(step: np.ndarray) -> np.ndarray:
         """The run at a step of (log zeta, coordinates)."""
-        model, moved = (directions.program, directions.held), at + mix[:, :free] @ step[1:]
+        model, at = (directions.program, directions.held), directions.at(coordinates + step[1:])
         zeta = log_zeta + step[0]
         return np.asarray(
-            _simulate_compiled(*model, CHANNELS, trial, seen, zeta, jnp.asarray(moved, float))
+            _simulate_compiled(*model, CHANNELS, trial, seen, zeta, jnp.asarray(at, float))
         )[rows]
 
-    here, found = simulated(np.zeros(1 + free)), np.zeros_like(found)
-    for column, ahead in enumerate(SECANT * np.eye(1 + free)):
+    steps = SECANT * np.eye(1 + directions.free)
+    here, found = simulated(np.zeros(len(steps))), np.zeros_like(found)
+    for column, ahead in enumerate(steps):
         for step, sense in ((ahead, 1), (-ahead, -1)):
             change = simulated(step) - here
             # Behind, where ahead the wheel sinks past its plates; nothing, where it does here.

@@ -5,15 +5,16 @@ Which runs do so depends on roundings, so the spot is put into an ordinary run h
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diagnose.dataset import RigDataset
+from diagnose.dataset import RigDataset, with_zeta
 from diagnose.linear.input_sensitivity import propagate, zeta_sensitivity
 from diagnose.linear.linearized_runs import linearize_run
 from diagnose.model import augmented_model
 from diagnose.model.augmented_model import AugmentedModel, directions_within
-from diagnose.model.linearized_run import without_growth
+from diagnose.model.linearized_run import linearize, without_growth
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
@@ -67,8 +68,10 @@ def test_the_response_is_that_of_the_rest_of_the_run(plain, loose):
     assert np.all(off < HELD * np.abs(expected).max(axis=0))
 
 
-def test_a_run_without_growth_is_left_as_it_is(plain):
-    assert without_growth(plain) is plain
+def test_a_run_without_growth_is_left_as_it_is(dataset):
+    trial = with_zeta(dataset.trials[0], float(LOG_ZETA[0]))
+    whole = linearize(trial, jnp.asarray(1), jnp.asarray(400), 400)
+    assert without_growth(whole) is whole
 
 
 DIRECTIONS = directions_within(AugmentedModel((effect_class("drawbar"),)), AugmentedModel())
