@@ -2,6 +2,7 @@
 
 import json
 import sys
+import threading
 import types
 from contextlib import contextmanager
 
@@ -93,7 +94,16 @@ def test_answers_are_those_without_a_cluster_and_none_is_sought_twice(
     assert answers["set_2"]["found"]["fresh_a.h5"] == "another"
 
 
-def test_a_killed_call_keeps_its_answers(sets, seen, threads, tmp_path):
+def test_a_killed_call_keeps_its_answers(sets, seen, threads, tmp_path, monkeypatch):
+    answers = sys.modules["diagnose.blind.answers.answer_set"]
+    answer_set, interrupted = answers.answer_set, threading.Event()
+
+    def answer_first_set_at_once(paths):
+        # Two quick answers may both be in before the interrupt comes.
+        assert not seen or interrupted.wait(60)
+        return answer_set(paths)
+
+    monkeypatch.setattr(answers, "answer_set", answer_first_set_at_once)
     files = {name: SetFiles.at(sets / name) for name in ("set_1", "set_2")}
     path = tmp_path / "answers.store"
     settings = {"software": AnswerOptions().software}
@@ -102,12 +112,13 @@ def test_a_killed_call_keeps_its_answers(sets, seen, threads, tmp_path):
         if done:
             raise KeyboardInterrupt
 
-    with (
-        connection.connect(None) as client,  # pyright: ignore[reportArgumentType]
-        pytest.raises(KeyboardInterrupt),
-        WorkStore(path, ANSWER_STORE, settings) as store,
-    ):
-        answer_on(client, files, store, interrupt)
+    with connection.connect(None) as client:  # pyright: ignore[reportArgumentType]
+        with (
+            pytest.raises(KeyboardInterrupt),
+            WorkStore(path, ANSWER_STORE, settings) as store,
+        ):
+            answer_on(client, files, store, interrupt)
+        interrupted.set()
     with WorkStore(path, ANSWER_STORE, settings) as store:
         (done,) = [each for each in files.values() if each.digest in store]
         assert stored_answer(store, done.digest)["verdict"] == ["none"]
