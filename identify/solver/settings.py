@@ -58,7 +58,7 @@ class BatchedSolverSettings:
     first_damping: float = 1e-3
     damping_factor: float = 8.0
     longest_step: float = 0.3
-    max_steps: int = 40
+    max_steps: int = 60
 
 
 @dataclass(frozen=True)
