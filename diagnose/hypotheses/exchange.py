@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnose.hypotheses.hypothesis import Hypothesis, lower_bounds
-from diagnose.hypotheses.set_screening import joined_from_null, without_effect
+from diagnose.hypotheses.set_candidates import joined_from_null
+from diagnose.hypotheses.set_screening import without_effect
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names

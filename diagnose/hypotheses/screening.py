@@ -23,12 +23,8 @@ from diagnose.hypotheses.hypothesis import (
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.linear_ranking import ranked_effects
 from diagnose.hypotheses.refinement import predicted_score, refine, relinearize
-from diagnose.hypotheses.set_screening import (
-    SetScreeningSettings,
-    race,
-    refine_sets,
-    without_effect,
-)
+from diagnose.hypotheses.set_candidates import SetScreeningSettings
+from diagnose.hypotheses.set_screening import race, refine_sets, without_effect
 from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.linear_fit import LinearFit, floor_inflation, log_score
 from diagnose.linear.linearized_runs import linearize_runs

@@ -6,7 +6,7 @@ from diagnose.dataset import DEFAULT_INITIAL_ZETA, InitialZetaSettings
 from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking
 from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings
-from diagnose.hypotheses.set_screening import (
+from diagnose.hypotheses.set_candidates import (
     DEFAULT_LARGER_SETS,
     DEFAULT_PAIRS,
     SetScreeningSettings,

@@ -13,7 +13,8 @@ from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
-from diagnose.hypotheses.set_screening import refine_sets, set_candidates
+from diagnose.hypotheses.set_candidates import set_candidates
+from diagnose.hypotheses.set_screening import refine_sets
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors

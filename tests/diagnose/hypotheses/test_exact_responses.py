@@ -9,7 +9,7 @@ from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.exact_responses import FurtherResponses, exact_responses
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
-from diagnose.hypotheses.set_screening import joined_from_null
+from diagnose.hypotheses.set_candidates import joined_from_null
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import SLOW_EFFECTS, Regressors
 from diagnose.model.augmented_model import AugmentedModel, shared_model

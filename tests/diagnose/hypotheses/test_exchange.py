@@ -10,7 +10,7 @@ from diagnose.hypotheses.exchange import exchanged_sets, look_alikes
 from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import Screening, ScreeningResult
-from diagnose.hypotheses.set_screening import DEFAULT_LARGER_SETS
+from diagnose.hypotheses.set_candidates import DEFAULT_LARGER_SETS
 from diagnose.hypotheses.settings import DEFAULT_SCREENING
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import match_initial_zeta
+from diagnose.hypotheses import set_candidates as set_candidates_module
 from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
 from diagnose.hypotheses.refinement import at_its_start, refine
-from diagnose.hypotheses.set_screening import (
+from diagnose.hypotheses.set_candidates import (
     DEFAULT_LARGER_SETS,
     SetScreeningSettings,
     leading_bases,
-    refine_sets,
     set_candidates,
-    without_effect,
 )
+from diagnose.hypotheses.set_screening import refine_sets, without_effect
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import shared_model
@@ -77,6 +77,25 @@ def test_what_singles_did_alone_puts_the_true_pair_first(regressors, singles, po
     assert next(set_candidates(regressors, singles, singles, pool)).names == set(TRUTH)
 
 
+def test_what_does_most_alone_is_tried_beside_the_best_whatever_linear_fits_say(
+    regressors, singles, pool, monkeypatch
+):
+    """Where the reference model is far off, dozens of effects gain more by a linear fit."""
+    refined = set_candidates_module._with_refined  # pyright: ignore[reportPrivateUsage]
+
+    def with_low_scores_for_the_leading(*args):
+        return [
+            [replace(e, score=-np.inf if leading <= e.names else e.score) for e in by_share]
+            for by_share in refined(*args)
+        ]
+
+    leading = frozenset(singles[0].names + singles[1].names)
+    monkeypatch.setattr(set_candidates_module, "_with_refined", with_low_scores_for_the_leading)
+    first = next(set_candidates(regressors, singles, singles, pool))
+    assert first.names == leading
+    assert first.score == -np.inf
+
+
 def test_the_way_ahead_of_a_pair_leads_near_both_truths(regressors, singles, pool):
     pair = next(set_candidates(regressors, singles, singles, pool)).build()
     assert not pair.is_simulated
@@ -119,7 +138,9 @@ def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, m
         return list(starts)
 
     monkeypatch.setattr(set_screening, "race", as_they_begin)
-    every = SetScreeningSettings(max_per_effect=most, sets_per_round=10**6, both_starts=0)
+    every = SetScreeningSettings(
+        max_per_effect=most, sets_per_round=10**6, both_starts=0, max_retries=0
+    )
     refine_sets(regressors, singles, singles, pool, every)
     # The effect that is added comes last.
     added = [each.names[-1] for each in begun]
