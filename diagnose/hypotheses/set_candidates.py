@@ -47,6 +47,7 @@ class SetScreeningSettings:
             model is far off one simulation does not tell, and all get more.
         both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
+        far_both_starts: The same where the reference model is far off.
         max_retries: Sets that do worse than a part of them, from which they may begin, are refined
             again from there, so many at most. None but where the reference model is far off.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
@@ -63,6 +64,7 @@ class SetScreeningSettings:
     max_simulations: int = 3
     max_continued: int = 8
     both_starts: int = 2
+    far_both_starts: int = 12
     max_retries: int = 4
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
@@ -71,7 +73,8 @@ class SetScreeningSettings:
     def where(self, is_far: bool) -> "SetScreeningSettings":
         """The numbers where the reference model is far off, or is not."""
         if is_far:
-            return replace(self, max_continued=self.sets_per_round)
+            both_starts = self.far_both_starts
+            return replace(self, max_continued=self.sets_per_round, both_starts=both_starts)
         return replace(self, max_retries=0)
 
 
@@ -86,6 +89,7 @@ DEFAULT_LARGER_SETS = SetScreeningSettings(
     sets_per_round=8,
     max_continued=3,
     both_starts=1,
+    far_both_starts=1,
 )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
@@ -47,7 +47,7 @@ def refine_sets(
         refinement: Numbers of the refinement.
 
     Returns:
-        Best first, but that the first few may be better still from another start.
+        Best first.
     """
     starts: Starts = {}
     for each in set_candidates(regressors, bases, singles, pool, settings):
@@ -58,34 +58,35 @@ def refine_sets(
         starts.setdefault(each.names, {}).setdefault(key, each)
     starts = varied(starts, settings.max_per_effect)
 
-    def better_start(known: Hypothesis) -> Hypothesis:
+    def other_kind(known: Hypothesis) -> list[SetCandidate]:
         first, *others = starts[frozenset(known.names)].values()
-        other_kind = [each for each in others if each.from_null != first.from_null][:1]
-        return best_of(known, other_kind)
+        return [each for each in others if each.from_null != first.from_null][:1]
 
     def best_base(known: Hypothesis) -> Hypothesis:
         every = starts[frozenset(known.names)].values()
         return max((each.base for each in every), key=lambda each: each.score)
 
-    def from_best_base(known: Hypothesis) -> Hypothesis:
+    def from_best_base(known: Hypothesis) -> list[SetCandidate]:
         every, base = starts[frozenset(known.names)].values(), best_base(known)
-        return best_of(known, [each for each in every if each.base is base])
+        return [each for each in every if each.base is base]
 
-    def best_of(known: Hypothesis, others: Sequence[SetCandidate]) -> Hypothesis:
-        again = race(regressors, [each.build() for each in others], pool, settings, refinement)
-        return max([known, *again], key=lambda each: each.score)
+    def simulated(candidates: Sequence[SetCandidate]) -> list[Hypothesis]:
+        begun = [each.build() for each in candidates]
+        return race(regressors, begun, pool, settings, refinement) if begun else []
+
+    def with_better(known: list[Hypothesis], others: Sequence[SetCandidate]) -> list[Hypothesis]:
+        return best_of_each([*known, *(each for each in simulated(others) if each.is_simulated)])
 
     firsts = [next(iter(kinds.values())) for kinds in starts.values()]
-    begun = [each.build() for each in firsts[: settings.sets_per_round]]
-    found = race(regressors, begun, pool, settings, refinement)
-    found.sort(key=lambda each: -each.score)
-    leading, rest = found[: settings.both_starts], found[settings.both_starts :]
+    found = best_of_each(simulated(firsts[: settings.sets_per_round]))
+    leading = found[: settings.both_starts]
+    found = with_better(found, [other for each in leading for other in other_kind(each)])
     # No set does worse than a part of it, unless its refinement went astray.
     ranks = {names: rank for rank, names in enumerate(starts)}
-    astray = [each for each in rest if each.score < best_base(each).score]
+    astray = [each for each in found if each.score < best_base(each).score]
     astray.sort(key=lambda each: ranks[frozenset(each.names)])
-    again = {id(each): from_best_base(each) for each in astray[: settings.max_retries]}
-    return [*map(better_start, leading), *(again.get(id(each), each) for each in rest)]
+    again = [other for each in astray[: settings.max_retries] for other in from_best_base(each)]
+    return with_better(found, again)
 
 
 def varied(starts: Starts, max_per_effect: int) -> Starts:

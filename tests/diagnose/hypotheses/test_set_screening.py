@@ -1,5 +1,6 @@
 """Sets of effects: what each did alone leads to both, however far from the null."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
 from diagnose.hypotheses.refinement import at_its_start, refine
 from diagnose.hypotheses.set_candidates import (
     DEFAULT_LARGER_SETS,
+    DEFAULT_PAIRS,
     SetScreeningSettings,
     leading_bases,
     set_candidates,
@@ -215,6 +217,29 @@ def test_a_set_without_its_step_is_the_base(regressors, pool):
     assert back.is_simulated
     assert back.proposed_step is None
     assert back.score == pytest.approx(base.score, rel=1e-9)  # the same residuals, summed again
+
+
+def test_where_the_model_is_far_off_all_pairs_begin_from_both_kinds_of_start(
+    regressors, singles, pool, monkeypatch
+):
+    begun = []
+
+    def as_they_begin(regressors, starts, pool, settings, refinement):
+        begun.append(starts)
+        return [replace(each, is_simulated=True) for each in starts]
+
+    monkeypatch.setattr(set_screening, "race", as_they_begin)
+    # Every effect was simulated alone, so that all pairs have both kinds.
+    settings = replace(DEFAULT_PAIRS.where(is_far=True), sets_per_round=FEW, max_retries=0)
+    refine_sets(regressors, singles, singles, pool, settings)
+    first, other = begun
+    assert [frozenset(each.names) for each in other] == [
+        frozenset(each.names) for each in sorted(first, key=lambda each: -each.score)
+    ]
+    for each, mine in itertools.product(first, other):
+        if set(each.names) == set(mine.names):
+            assert not np.array_equal(each.proposed_step[1], mine.proposed_step[1])
+    assert DEFAULT_PAIRS.where(is_far=False).both_starts < settings.both_starts
 
 
 def test_a_set_that_does_worse_than_a_part_of_it_begins_again_from_there(
