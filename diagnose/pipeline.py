@@ -31,7 +31,6 @@ from diagnose.gap.stepwise import stepwise_gap
 from diagnose.gap.zeta_matching import (
     REFERENCE_NAME,
     WITH_EFFECTS_NAME,
-    MatchedRun,
     residuals_of,
     unmatched,
 )
@@ -40,6 +39,7 @@ from diagnose.hypotheses.screening import Report, Screening, ScreeningResult, sc
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.localization.localization import localize
 from diagnose.localization.shares import GapShare
+from diagnose.measured_gap import MeasuredGap, ReferenceRuns
 from diagnose.next_runs.discrimination import next_run
 from diagnose.result import Diagnosis, parameter_estimates
 from diagnose.run_pool import RunPool
@@ -110,45 +110,6 @@ class _Weighed:
 
 
 @dataclass(frozen=True, eq=False)
-class _ReferenceRuns:
-    """Every run by the reference model.
-
-    Attributes:
-        prediction: Each with the zeta that suits all channels.
-        matches: Each at its matched zeta.
-        discretization: Error of its plates and width at rest by channel [m, N, N m].
-    """
-
-    prediction: HeldOutPrediction
-    matches: list[MatchedRun]
-    discretization: dict[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class _MeasuredGap:
-    """The gap without and with the chosen hypothesis, on held-out runs at matched zeta.
-
-    Attributes:
-        reference: The reference model.
-        floors: Noise floor of each channel [m, N, N m].
-        notes: Sentences on the floors and on runs that do not go with the others.
-        selected: The chosen hypothesis's effects, and the gap with them.
-        prediction: Held-out runs by the chosen hypothesis.
-    """
-
-    reference: _ReferenceRuns
-    floors: dict[str, float]
-    notes: list[str]
-    selected: SelectedEffects
-    prediction: HeldOutPrediction
-
-    @property
-    def before(self) -> list[np.ndarray]:
-        """By run, residual of the reference model [m, N, N m], shape (channels, samples)."""
-        return residuals_of(self.reference.matches)
-
-
-@dataclass(frozen=True, eq=False)
 class _Diagnosing:
     """One diagnosis, step by step.
 
@@ -175,7 +136,7 @@ class _Diagnosing:
         finer = changes_with_finer_plates(
             dataset, found.none.log_zeta, self.pool, settings.discretization
         )
-        reference = _ReferenceRuns(
+        reference = ReferenceRuns(
             plain, at_mean_sinkage(plain, self.pool), discretization_errors(dataset, finer)
         )
         first = self.weigh(found, self.leading(found), finer)
@@ -248,7 +209,7 @@ class _Diagnosing:
             zeta_shares=zeta_shares(found.regressors),
         )
 
-    def judge(self, weighed: _Weighed, reference: _ReferenceRuns) -> tuple[_Weighed, _MeasuredGap]:
+    def judge(self, weighed: _Weighed, reference: ReferenceRuns) -> tuple[_Weighed, MeasuredGap]:
         """The verdict by what its set leaves of the gap."""
         settings, gap = self.settings, self.measure_gap(weighed, reference)
         for _ in range(settings.verdict.max_retries):
@@ -300,21 +261,42 @@ class _Diagnosing:
         return self.decided(_Weighed(found, leading, held_out, share, (), [], found.none), share)
 
     def with_explaining_set(
-        self, weighed: _Weighed, likeliest: _MeasuredGap, reference: _ReferenceRuns
-    ) -> tuple[_Weighed, _MeasuredGap]:
-        """Name the likeliest set, if it explains most of the gap, or a larger one, if all."""
+        self, weighed: _Weighed, likeliest: MeasuredGap, reference: ReferenceRuns
+    ) -> tuple[_Weighed, MeasuredGap]:
+        """Name the likeliest set, if it explains most of the gap, or a larger one, if all.
+
+        Else the likeliest set of several effects, or a larger one, if it explains a part.
+        """
         settings, limits = self.settings.verdict, self.settings.selection
         share, chosen = weighed.share, weighed.chosen
         sets = {each.names: each for each in (*weighed.leading, chosen)}
+        tried = [(chosen.names, likeliest)]
         for names in explaining_candidates(share, chosen.names, settings):
-            is_likeliest, tried = names == chosen.names, replace(weighed, chosen=sets[names])
-            gap = likeliest if is_likeliest else self.measure_gap(tried, reference)
-            leaves_gap = gap.selected.leaves_gap
-            if gap.selected.explains_most(limits) and (is_likeliest or not leaves_gap):
-                found = self.decided(weighed, believing_listed(share, names, leaves_gap, settings))
-                same = found.chosen.names == names
-                return found, gap if same else self.measure_gap(found, reference)
+            if names != chosen.names:
+                gap = self.measure_gap(replace(weighed, chosen=sets[names]), reference)
+                tried.append((names, gap))
+            names, gap = tried[-1]
+            leaves_gap = gap.selected.leaves_gap and gap is not likeliest
+            if gap.selected.explains_most(limits) and not leaves_gap:
+                return self.naming(names, weighed, gap, reference, settings.listed_share)
+        for names, gap in tried:
+            if gap.selected.explains_part(limits):
+                return self.naming(names, weighed, gap, reference, settings.part_listed_share)
         return weighed, likeliest
+
+    def naming(
+        self,
+        names: tuple[str, ...],
+        weighed: _Weighed,
+        gap: MeasuredGap,
+        reference: ReferenceRuns,
+        listed_share: float,
+    ) -> tuple[_Weighed, MeasuredGap]:
+        """The verdict where so much of the weight of `unknown` goes to a set that leaves this."""
+        leaves_gap = gap.selected.leaves_gap
+        share = believing_listed(weighed.share, names, leaves_gap, listed_share)
+        found = self.decided(weighed, share)
+        return found, gap if found.chosen.names == names else self.measure_gap(found, reference)
 
     def decided(self, weighed: _Weighed, share: dict[tuple[str, ...], float]) -> _Weighed:
         """The verdict by other weights."""
@@ -327,7 +309,7 @@ class _Diagnosing:
         verdict, groups = decide(weighed.share, self.settings.verdict, has_gap=False)
         return replace(weighed, verdict=verdict, groups=groups, chosen=weighed.screening.none)
 
-    def one_zeta_gap(self, weighed: _Weighed, gap: _MeasuredGap) -> dict[str, Gap]:
+    def one_zeta_gap(self, weighed: _Weighed, gap: MeasuredGap) -> dict[str, Gap]:
         """The gap of each channel with one zeta for the bed."""
         regressors, both = weighed.screening.regressors, (gap.reference.prediction, gap.prediction)
         return one_zeta_gaps(regressors, *both, gap.floors, self.pool, self.settings.gap)
@@ -377,7 +359,7 @@ class _Diagnosing:
             regressors.settings,
         )
 
-    def measure_gap(self, weighed: _Weighed, reference: _ReferenceRuns) -> _MeasuredGap:
+    def measure_gap(self, weighed: _Weighed, reference: ReferenceRuns) -> MeasuredGap:
         """The gap without and with the chosen hypothesis, and its noise floors."""
         dataset, pool, settings = self.dataset, self.pool, self.settings
         regressors, none = weighed.screening.regressors, weighed.screening.none
@@ -399,10 +381,10 @@ class _Diagnosing:
         ]
         gap = gaps(dataset, before, after, floors, settings.gap)
         selected = SelectedEffects(effects_of(chosen), chosen.log_zeta, matches, gap)
-        return _MeasuredGap(reference, floors, notes, selected, prediction)
+        return MeasuredGap(reference, floors, notes, selected, prediction)
 
     def budget(
-        self, weighed: _Weighed, gap: _MeasuredGap, errors: np.ndarray
+        self, weighed: _Weighed, gap: MeasuredGap, errors: np.ndarray
     ) -> dict[str, ChannelBudget]:
         """The gap of each channel, divided by the verdict's effects.
 
@@ -423,7 +405,7 @@ class _Diagnosing:
         )
 
     def explain_unknown(
-        self, weighed: _Weighed, gap: _MeasuredGap, places: Sequence[GapShare]
+        self, weighed: _Weighed, gap: MeasuredGap, places: Sequence[GapShare]
     ) -> tuple[UnknownEffect | None, list[GapShare]]:
         """The simplest unknown signal, if that is the verdict, and shares of the gap by stage."""
         dataset, pool, settings = self.dataset, self.pool, self.settings
@@ -457,7 +439,7 @@ class _Diagnosing:
     def judge_unknown(
         self,
         weighed: _Weighed,
-        gap: _MeasuredGap,
+        gap: MeasuredGap,
         unknown: UnknownEffect | None,
         places: Sequence[GapShare],
         listed: set[str],

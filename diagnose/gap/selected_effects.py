@@ -25,12 +25,15 @@ class EffectSelectionSettings:
             channel [-]. On rigs with something outside the list the best set left 43 % or more of
             one channel (seven of eight sets of `drft blind make --wrong unknown --faintest 3 --seed
             361001`; in the eighth an effect of the list leaves nothing, and is named).
+        part_share: Two effects or more explain a part of a gap that they shrink by this share in
+            every channel [-].
         large_gap: So many noise floors, in one channel at least, are needed for that [-]: of a
             smaller gap chance is too large a part.
     """
 
     min_improvement: float = 0.1
     explained_share: float = 0.75
+    part_share: float = 0.5
     large_gap: float = 5.0
 
 
@@ -77,11 +80,21 @@ class SelectedEffects:
 
     def explains_most(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
         """True where a large gap shrinks by nearly all in every channel that has one."""
+        return self._explains(settings.explained_share, settings)
+
+    def explains_part(self, settings: EffectSelectionSettings = DEFAULT_EFFECT_SELECTION) -> bool:
+        """True for two effects or more with which a large gap shrinks by half in every channel.
+
+        What is outside the list is often as good as half explained by one effect, seldom by two.
+        """
+        return len(self.effects) > 1 and self._explains(settings.part_share, settings)
+
+    def _explains(self, share: float, settings: EffectSelectionSettings) -> bool:
         parts = [each for each in self.gap.values() if each.is_reducible]
         largest = max((each.before / each.floor for each in parts), default=0.0)
         return (
             largest >= settings.large_gap
-            and all(each.shrinkage >= settings.explained_share for each in parts)
+            and all(each.shrinkage >= share for each in parts)
             and self.worsens_no_channel(settings)
         )
 

@@ -34,6 +34,7 @@ class VerdictSettings:
             leaves one, if it has at least this share of the likeliest's weight [-].
         listed_share: Share of the weight of `unknown` that goes to effects which explain most of a
             large gap [-]: about as often such an effect is right.
+        part_listed_share: The same where they explain a part of it.
         max_retries: Sets of effects that are dropped at most because they make a channel worse.
         max_competing: One run is asked to tell the verdict from so many at most.
     """
@@ -44,6 +45,7 @@ class VerdictSettings:
     min_competing_weight: float = 0.02
     min_explaining_weight: float = 0.01
     listed_share: float = 0.7
+    part_listed_share: float = 0.6
     max_retries: int = 3
     max_competing: int = 3
 
@@ -182,24 +184,24 @@ def believing_listed(
     share: Weights,
     explaining: tuple[str, ...],
     leaves_gap: bool,
-    settings: VerdictSettings = DEFAULT_VERDICT,
+    listed_share: float = DEFAULT_VERDICT.listed_share,
 ) -> dict[tuple[str, ...], float]:
     """Weights after most of that of `unknown` went to sets of effects, in proportion to theirs.
 
-    Where a set explains most of a large gap: what is outside the list hardly ever looks so much
-    like what is on it. Smaller sets, which do not, get nothing.
+    Where a set explains most of a large gap, or a part of it: what is outside the list hardly ever
+    looks so much like what is on it. Smaller sets, which do not, get nothing.
 
     Args:
         share: Weights with `unknown`.
         explaining: Names of the set.
         leaves_gap: The set leaves a gap: something acts beside it.
-        settings: Numbers of the verdict.
+        listed_share: Share of the weight of `unknown` that goes to sets [-].
     """
     by_set = weight_by_set({k: w for k, w in share.items() if k not in ((NONE,), (UNKNOWN,))})
     by_set = {names: weight for names, weight in by_set.items() if len(names) >= len(explaining)}
     if not any(by_set.values()):
         by_set = {explaining: 1.0}  # weights too small for a number
-    moved = settings.listed_share * share[(UNKNOWN,)]
+    moved = listed_share * share[(UNKNOWN,)]
     believed = {**share, (UNKNOWN,): share[(UNKNOWN,)] - moved}
     for names, weight in by_set.items():
         whole = (*names, UNKNOWN) if leaves_gap else names

@@ -331,6 +331,24 @@ def test_effects_explain_most_of_a_large_gap():
     assert not selected((50.0, 1.4), (5.0, 1.2)).leaves_gap  # half a floor is chance
 
 
+def test_two_effects_may_explain_a_part_of_a_large_gap():
+    def explains(count: int, *gaps: tuple[float, float]) -> bool:
+        found = {
+            name: Gap(before, after, 1.0, shrinkage(before, after, 1.0), None)
+            for name, (before, after) in zip("xz", gaps, strict=True)
+        }
+        effects = SurfaceSlope(0.01), Drawbar(1.0)
+        selected = SelectedEffects(effects[:count], np.zeros(1), [], found)
+        assert not selected.explains_most()
+        return selected.explains_part()
+
+    assert explains(2, (50.0, 5.0), (10.0, 4.0))
+    assert not explains(1, (50.0, 5.0), (10.0, 4.0))
+    assert not explains(2, (50.0, 5.0), (10.0, 6.0))  # z: under a half
+    assert not explains(2, (4.0, 1.0), (4.0, 1.0))  # not large
+    assert not explains(2, (50.0, 5.0), (1.0, 1.3))  # z gets worse
+
+
 def test_most_of_the_weight_of_unknown_goes_to_listed_sets_in_proportion():
     share = {
         ("none",): 0.0,
@@ -399,6 +417,30 @@ def test_the_smallest_set_that_explains_the_gap_is_named(explaining, monkeypatch
         assert found.verdict == found.chosen.names == explaining
         assert gap.selected.gap["x"].after == 1.0
         assert weight_by_name(found.share)["unknown"] == pytest.approx(0.27)
+
+
+@pytest.mark.parametrize(("left", "named"), [(4.0, ("a", "b")), (6.0, ("unknown",))])
+def test_a_set_that_explains_a_part_is_named_beside_unknown(left, named, monkeypatch):
+    """Of a likeliest set and a larger one, which leave so much of a gap of ten floors."""
+    share = {("unknown",): 0.95, ("a",): 0.03, ("a", "b"): 0.02}
+    one, two = (SimpleNamespace(names=names) for names in list(share)[1:])
+    weighed = _Weighed(None, [one, two], {}, share, ("unknown",), [["unknown"]], one)
+
+    def measured(_, weighed, reference):
+        gap = {"x": Gap(10.0, left, 1.0, shrinkage(10.0, left, 1.0), None)}
+        effects = (SurfaceSlope(0.01), Drawbar(1.0))[: len(weighed.chosen.names)]
+        return SimpleNamespace(selected=SelectedEffects(effects, np.zeros(1), [], gap))
+
+    monkeypatch.setattr(_Diagnosing, "measure_gap", measured)
+    diagnosing = _Diagnosing(None, None, print, DEFAULT_SETTINGS)
+    likeliest = diagnosing.measure_gap(weighed, None)
+    found, _ = diagnosing.with_explaining_set(weighed, likeliest, None)
+    assert found.verdict == named
+    if named == ("a", "b"):
+        # Six tenths of 0.95 and its own; a remainder is as good as sure.
+        weight = weight_by_name(found.share)
+        assert weight["b"] == pytest.approx(0.02 + 0.6 * 0.95)
+        assert weight["unknown"] == pytest.approx(0.95)
 
 
 def test_effects_that_share_their_weight_speak_together():
