@@ -100,7 +100,10 @@ def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
             "but no effect that is known here explains it."
         )
     if len(found.verdict) > 2:
-        return f"These runs show {len(found.verdict)} effects at once: {_listed(found.verdict)}."
+        return (
+            f"These runs show {len(found.verdict)} effects at once: {_listed(found.verdict)}, the "
+            f"least sure of them with weight {percent(weight)}."
+        )
     effects = " and ".join(f"{name} ({found.meaning(name)})" for name in found.verdict)
     if alone:
         return (
