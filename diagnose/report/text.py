@@ -36,6 +36,8 @@ class ReportSettings:
     Attributes:
         min_floors: The reference model misses the runs by far where the gap of a channel is so many
             noise floors [-].
+        sure_weight: Of three effects and more the smallest weight is told where it is below this
+            [-].
         min_weight: Smaller weights are left out of the list of weights [-].
         most_of_gap: Runs are named that hold this share of the gap [-].
         max_named_runs: Of these, so many at most.
@@ -44,6 +46,7 @@ class ReportSettings:
     """
 
     min_floors: float = 3.0
+    sure_weight: float = 0.9
     min_weight: float = 0.01
     most_of_gap: float = 0.6
     max_named_runs: int = 3
@@ -100,10 +103,10 @@ def verdict(found: Diagnosis, settings: ReportSettings = DEFAULT_REPORT) -> str:
             "but no effect that is known here explains it."
         )
     if len(found.verdict) > 2:
-        return (
-            f"These runs show {len(found.verdict)} effects at once: {_listed(found.verdict)}, the "
-            f"least sure of them with weight {percent(weight)}."
-        )
+        told = f"These runs show {len(found.verdict)} effects at once: {_listed(found.verdict)}"
+        if weight < settings.sure_weight:
+            told += f", the least sure of them with weight {percent(weight)}"
+        return f"{told}."
     effects = " and ".join(f"{name} ({found.meaning(name)})" for name in found.verdict)
     if alone:
         return (

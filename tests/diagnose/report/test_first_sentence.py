@@ -41,6 +41,16 @@ def test_one_run_is_spoken_of_as_one(runs, tell, rule):
     assert group_sentences(told)[0].startswith(rule)  # pyright: ignore
 
 
+@pytest.mark.parametrize(
+    ("weight", "end"),
+    [(0.97, "a, b and c."), (0.6, "a, b and c, the least sure of them with weight 60%.")],
+)
+def test_of_several_effects_the_least_sure_is_told(weight, end):
+    told = found(3, [])
+    told.verdict, told.weights = ("a", "b", "c"), {"a": 0.99, "b": weight, "c": 0.99}
+    assert verdict(told) == f"These runs show 3 effects at once: {end}"  # pyright: ignore
+
+
 def test_advice_on_the_next_run_is_in_words_whatever_its_numbers_are_of():
     better = {
         "run": "run_a again at 8 times the speed",
