@@ -270,14 +270,13 @@ class _Diagnosing:
         settings, limits = self.settings.verdict, self.settings.selection
         share, chosen = weighed.share, weighed.chosen
         sets = {each.names: each for each in (*weighed.leading, chosen)}
-        tried = [(chosen.names, likeliest)]
+        tried = []
         for names in explaining_candidates(share, chosen.names, settings):
-            if names != chosen.names:
-                gap = self.measure_gap(replace(weighed, chosen=sets[names]), reference)
-                tried.append((names, gap))
-            names, gap = tried[-1]
-            leaves_gap = gap.selected.leaves_gap and gap is not likeliest
-            if gap.selected.explains_most(limits) and not leaves_gap:
+            is_likeliest, other = names == chosen.names, replace(weighed, chosen=sets[names])
+            gap = likeliest if is_likeliest else self.measure_gap(other, reference)
+            tried.append((names, gap))
+            is_enough = is_likeliest or not gap.selected.leaves_gap
+            if gap.selected.explains_most(limits) and is_enough:
                 return self.naming(names, weighed, gap, reference, settings.listed_share)
         for names, gap in tried:
             if gap.selected.explains_part(limits):

@@ -66,11 +66,14 @@ def refine_sets(
         every = starts[frozenset(known.names)].values()
         return max((each.base for each in every), key=lambda each: each.score)
 
+    tried: set[int] = set()
+
     def from_best_base(known: Hypothesis) -> list[SetCandidate]:
         every, base = starts[frozenset(known.names)].values(), best_base(known)
-        return [each for each in every if each.base is base]
+        return [each for each in every if each.base is base and id(each) not in tried]
 
     def simulated(candidates: Sequence[SetCandidate]) -> list[Hypothesis]:
+        tried.update(map(id, candidates))
         begun = [each.build() for each in candidates]
         return race(regressors, begun, pool, settings, refinement) if begun else []
 
@@ -83,7 +86,7 @@ def refine_sets(
     found = with_better(found, [other for each in leading for other in other_kind(each)])
     # No set does worse than a part of it, unless its refinement went astray.
     ranks = {names: rank for rank, names in enumerate(starts)}
-    astray = [each for each in found if each.score < best_base(each).score]
+    astray = [e for e in found if e.score < best_base(e).score and from_best_base(e)]
     astray.sort(key=lambda each: ranks[frozenset(each.names)])
     again = [other for each in astray[: settings.max_retries] for other in from_best_base(each)]
     return with_better(found, again)

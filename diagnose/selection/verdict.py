@@ -34,7 +34,8 @@ class VerdictSettings:
             leaves one, if it has at least this share of the likeliest's weight [-].
         listed_share: Share of the weight of `unknown` that goes to effects which explain most of a
             large gap [-]: about as often such an effect is right.
-        part_listed_share: The same where they explain a part of it.
+        part_listed_share: The same where they explain a part of it [-]: more than even odds, and
+            less than where they explain most. It is chosen, not counted.
         max_retries: Sets of effects that are dropped at most because they make a channel worse.
         max_competing: One run is asked to tell the verdict from so many at most.
     """

@@ -242,6 +242,23 @@ def test_where_the_model_is_far_off_all_pairs_begin_from_both_kinds_of_start(
     assert DEFAULT_PAIRS.where(is_far=False).both_starts < settings.both_starts
 
 
+def test_no_start_is_refined_twice(regressors, singles, pool, monkeypatch):
+    """A refinement has no chance in it: the same start ends at the same place."""
+    begun = []
+
+    def astray(regressors, starts, pool, settings, refinement):
+        begun.extend((each.names, each.proposed_step[1].tobytes()) for each in starts)
+        return [
+            replace(each, fit=replace(each.fit, score=-1e6), is_simulated=True) for each in starts
+        ]
+
+    monkeypatch.setattr(set_screening, "race", astray)
+    settings = SetScreeningSettings(sets_per_round=FEW, both_starts=FEW, max_retries=FEW)
+    refine_sets(regressors, singles, singles, pool, settings)
+    assert len(begun) > FEW
+    assert len({*begun}) == len(begun)
+
+
 def test_a_set_that_does_worse_than_a_part_of_it_begins_again_from_there(
     regressors, singles, pool, monkeypatch
 ):
