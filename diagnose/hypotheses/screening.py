@@ -186,19 +186,35 @@ class Screening:
             limits: Numbers of the choice of larger sets.
             report: Called with what is done next.
         """
-        settings = self.settings
-        while by_size[-1] and len(by_size) < settings.max_effects:
-            best, smaller = by_size[-1][0], by_size[-2][0]
-            gained = best.score - smaller.score
-            worth = settings.min_set_share * (self.best_score() - smaller.score)
+        while by_size[-1] and len(by_size) < self.settings.max_effects:
             # A smaller set, found by taking out, may leave none either.
             leave_gap = all(self.leaves_gap(several[0]) for several in by_size if several)
-            if not leave_gap or gained < max(settings.min_set_gain, worth):
+            if not (leave_gap and self.still_gains(by_size)):
                 break
             report(f"sets of {len(by_size) + 1} effects")
             by_size.append(self.finish(self.refine_sets(by_size[-1], by_size[0], limits)))
             if by_size[-1]:
                 self.take_out(by_size, len(by_size) - 1)
+
+    def still_gains(self, by_size: Sequence[Sequence[Hypothesis]]) -> bool:
+        """Tell whether the last effects that were added gained enough for one more.
+
+        One that gained little is not the end: where several effects act, what makes up for all of
+        them at once can hide what each of two does until both are there.
+
+        Args:
+            by_size: Singles, pairs and larger sets, best first, the last one not empty.
+        """
+        settings, best = self.settings, by_size[-1][0].score
+        for added in range(1, 1 + min(settings.patience, len(by_size) - 1)):
+            smaller = by_size[-1 - added]
+            if not smaller:
+                continue
+            left = self.best_score() - smaller[0].score
+            asked = max(settings.min_set_gain * added, settings.min_set_share * left)
+            if best - smaller[0].score >= asked:
+                return True
+        return len(by_size) <= settings.patience
 
     def exchange_effects(
         self, by_size: list[list[Hypothesis]], limits: SetScreeningSettings, report: Report

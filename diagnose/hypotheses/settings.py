@@ -43,11 +43,13 @@ class ScreeningSettings:
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
         max_effects: Effects in one hypothesis at most.
-        min_set_gain: A further effect is looked for while the last one gained this much log score
-            [-]: about twice what an effect of one number costs in a weight, whose evidence counts
-            half as much.
+        min_set_gain: A further effect is looked for while the last ones gained this much log score
+            each [-]: about twice what an effect of one number costs in a weight, whose evidence
+            counts half as much.
         min_set_share: The same while it gained this share of what was left to gain [-]. Effects
             that the rig has take a gap away in few steps; what is outside the list is nibbled at.
+        patience: Effects that are added, one after another, without such a gain before the search
+            ends.
         max_exchanges: Times that effects are exchanged for look-alikes, at most.
         max_leading: Leading explanations of each size that get exact derivatives at the end.
         initial_zeta: Numbers of the search for the zeta where all is linearised.
@@ -76,6 +78,7 @@ class ScreeningSettings:
     max_effects: int = 6
     min_set_gain: float = 8.0
     min_set_share: float = 0.02
+    patience: int = 2
     max_exchanges: int = 3
     max_leading: int = 4
     initial_zeta: InitialZetaSettings = DEFAULT_INITIAL_ZETA

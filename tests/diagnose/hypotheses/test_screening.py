@@ -1,5 +1,8 @@
 """The search: large strengths that no straight line leads to, and several forms of one effect."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +11,7 @@ import pytest
 from diagnose.evaluation.model_reader import read_model_file
 from diagnose.hypotheses.hypothesis import top_ranked
 from diagnose.hypotheses.refinement import relinearize
-from diagnose.hypotheses.screening import screen_effects
+from diagnose.hypotheses.screening import Screening, screen_effects
 from diagnose.model.augmented_model import FreeField
 from diagnose.pipeline import diagnose
 from diagnose.report.model_writer import model_toml
@@ -126,3 +129,33 @@ def test_items_side_by_side_go_over_runs_themselves_in_the_same_precision(double
     ]
     kinds = {each.dtype.name for row in found for each in row}
     assert kinds == {"float64" if double else "float32"}
+
+
+class _ToGain(Screening):
+    """A screening in which a model that leaves noise alone has a log score of 100."""
+
+    def best_score(self) -> float:
+        return 100.0
+
+
+@pytest.mark.parametrize(
+    ("scores", "goes_on"),
+    [
+        # A pair that gains next to nothing: the third effect may show what it hides.
+        ((40, 41), True),
+        # Two more effects must gain 8 each together, or the last one alone.
+        ((40, 41, 55), True),
+        ((40, 49, 50), False),
+        ((40, 41, 45), False),
+        ((40, 55, 57, 60), False),
+        ((40, 60, 61), True),
+        ((40, 60, 61, 62), False),
+        # A size of which nothing could be simulated says nothing.
+        ((40, None, 57), True),
+        ((40, None, 54), False),
+    ],
+)
+def test_one_effect_that_gains_little_does_not_end_the_search(scores, goes_on):
+    screening = _ToGain(cast(Any, None), cast(Any, None))
+    by_size: Any = [[SimpleNamespace(score=each)] if each else [] for each in scores]
+    assert screening.still_gains(by_size) == goes_on
