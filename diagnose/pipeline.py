@@ -265,7 +265,8 @@ class _Diagnosing:
     ) -> tuple[_Weighed, MeasuredGap]:
         """Name the likeliest set, if it explains most of the gap, or a larger one, if all.
 
-        Else the likeliest set of several effects, or a larger one, if it explains a part.
+        Else the likeliest set of several effects, or a larger one, if it explains a part, and more
+        than a part of it that was tried.
         """
         settings, limits = self.settings.verdict, self.settings.selection
         share, chosen = weighed.share, weighed.chosen
@@ -279,7 +280,9 @@ class _Diagnosing:
             if gap.selected.explains_most(limits) and is_enough:
                 return self.naming(names, weighed, gap, reference, settings.listed_share)
         for names, gap in tried:
-            if gap.selected.explains_part(limits):
+            fewer = [other.selected for part, other in tried if set(part) < set(names)]
+            is_better = all(gap.selected.remaining < each.remaining for each in fewer)
+            if is_better and gap.selected.explains_part(limits):
                 return self.naming(names, weighed, gap, reference, settings.part_listed_share)
         return weighed, likeliest
 

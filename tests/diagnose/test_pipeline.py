@@ -419,15 +419,24 @@ def test_the_smallest_set_that_explains_the_gap_is_named(explaining, monkeypatch
         assert weight_by_name(found.share)["unknown"] == pytest.approx(0.27)
 
 
-@pytest.mark.parametrize(("left", "named"), [(4.0, ("a", "b")), (6.0, ("unknown",))])
-def test_a_set_that_explains_a_part_is_named_beside_unknown(left, named, monkeypatch):
+@pytest.mark.parametrize(
+    ("alone", "left", "named"),
+    [
+        (4.5, 4.0, ("a", "b")),
+        (6.0, 6.0, ("unknown",)),
+        # What one of its effects explains alone is no reason to name both.
+        (3.5, 4.0, ("unknown",)),
+    ],
+)
+def test_a_set_that_explains_a_part_is_named_beside_unknown(alone, left, named, monkeypatch):
     """Of a likeliest set and a larger one, which leave so much of a gap of ten floors."""
     share = {("unknown",): 0.95, ("a",): 0.03, ("a", "b"): 0.02}
     one, two = (SimpleNamespace(names=names) for names in list(share)[1:])
     weighed = _Weighed(None, [one, two], {}, share, ("unknown",), [["unknown"]], one)
 
     def measured(_, weighed, reference):
-        gap = {"x": Gap(10.0, left, 1.0, shrinkage(10.0, left, 1.0), None)}
+        after = alone if weighed.chosen is one else left
+        gap = {"x": Gap(10.0, after, 1.0, shrinkage(10.0, after, 1.0), None)}
         effects = (SurfaceSlope(0.01), Drawbar(1.0))[: len(weighed.chosen.names)]
         return SimpleNamespace(selected=SelectedEffects(effects, np.zeros(1), [], gap))
 
