@@ -421,15 +421,10 @@ def test_the_smallest_set_that_explains_the_gap_is_named(explaining, monkeypatch
 
 @pytest.mark.parametrize(
     ("alone", "left", "named"),
-    [
-        (4.5, 4.0, ("a", "b")),
-        (6.0, 6.0, ("unknown",)),
-        # What one of its effects explains alone is no reason to name both.
-        (3.5, 4.0, ("unknown",)),
-    ],
+    [(4.5, 4.0, ("a", "b")), (6.0, 6.0, ("unknown",)), (3.5, 4.0, ("unknown",))],
 )
 def test_a_set_that_explains_a_part_is_named_beside_unknown(alone, left, named, monkeypatch):
-    """Of a likeliest set and a larger one, which leave so much of a gap of ten floors."""
+    """Of an effect and a set with it, which leave so much of ten floors: with less than alone."""
     share = {("unknown",): 0.95, ("a",): 0.03, ("a", "b"): 0.02}
     one, two = (SimpleNamespace(names=names) for names in list(share)[1:])
     weighed = _Weighed(None, [one, two], {}, share, ("unknown",), [["unknown"]], one)
@@ -442,8 +437,7 @@ def test_a_set_that_explains_a_part_is_named_beside_unknown(alone, left, named, 
 
     monkeypatch.setattr(_Diagnosing, "measure_gap", measured)
     diagnosing = _Diagnosing(None, None, print, DEFAULT_SETTINGS)
-    likeliest = diagnosing.measure_gap(weighed, None)
-    found, _ = diagnosing.with_explaining_set(weighed, likeliest, None)
+    found, _ = diagnosing.with_explaining_set(weighed, diagnosing.measure_gap(weighed, None), None)
     assert found.verdict == named
     if named == ("a", "b"):
         # Six tenths of 0.95 and its own; a remainder is as good as sure.
