@@ -4,6 +4,10 @@ A search begins with the error that steps have with the reference model taken of
 Effects change this error by a few per cent of what they change the runs by. So where a hypothesis
 leads, the error is found anew at its numbers: values of all that are like it are those of far
 shorter steps.
+
+A wheel that just stands, or drops by a millimetre in the first tenth of a second, may do one in
+long steps and the other in short ones. That is no error that other hypotheses share. A run which
+the leading one would follow far worse keeps the error that is known.
 """
 
 from collections.abc import Sequence
@@ -16,6 +20,10 @@ from diagnose.hypotheses.hypothesis import Hypothesis
 from diagnose.hypotheses.refinement import simulated_fit
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
+
+# A run is followed far worse where the RMS of a channel's residual grows by this share and by one
+# model error more [-]. Errors that change smoothly change it by less than a model error.
+MAX_GROWTH = 0.5
 
 
 def without_leading_step_errors(
@@ -38,12 +46,14 @@ def without_leading_step_errors(
     best = max(leading, key=lambda each: each.score)
     known = regressors.dataset
     errors = step_errors(known, best.model, best.log_zeta, best.coordinates, pool)
-    dataset = with_step_errors(known, errors)
     changes = []
-    for run in known.run_numbers:
-        counts = known.counts(run)
-        before, after = (each.observations[run].step_error for each in (known, dataset))
-        changes.append(np.asarray(before - after)[:, : len(counts)][:, counts])
+    for run, error in enumerate(errors):
+        before = np.asarray(known.observations[run].step_error)[:, : error.shape[1]]
+        change = (before - error)[:, known.counts(run)]
+        if _is_far_worse(regressors, best.residual[run], change):
+            errors[run], change = before, np.zeros_like(change)
+        changes.append(change)
+    dataset = with_step_errors(known, errors)
 
     def moved(residual: Sequence[np.ndarray]) -> list[np.ndarray]:
         return [left + change for left, change in zip(residual, changes, strict=True)]
@@ -59,3 +69,11 @@ def without_leading_step_errors(
 
     changed_sizes = [pool.map_outer(changed, several) for several in by_size]
     return there, [sorted(several, key=lambda each: -each.score) for several in changed_sizes]
+
+
+def _is_far_worse(regressors: Regressors, residual: np.ndarray, change: np.ndarray) -> bool:
+    """Tell whether a change of a run's residual, shape (channels, samples), is no small error."""
+    blocks = [(channel, "slow") for channel in regressors.dataset.channels]
+    before, after = (np.sqrt((each**2).mean(axis=1)) for each in (residual, residual + change))
+    most = (1 + MAX_GROWTH) * before + regressors.settings.model_errors(blocks)
+    return bool((after > most).any())

@@ -95,6 +95,26 @@ def test_a_run_that_diverges_in_shorter_steps_keeps_the_error_that_is_known(
         np.testing.assert_array_equal(error, run.observation.step_error)
 
 
+def test_a_run_that_drops_in_short_steps_alone_keeps_the_error_that_is_known(
+    pulled, screened, pool, monkeypatch
+):
+    of_first = screened.singles[0].log_zeta[0]
+
+    def dropping(model, channels, trial, observed, log_zeta, *at):
+        found = predict(model, channels, trial, observed, log_zeta, *at)
+        if int(trial.parts) == 1 or float(log_zeta) != of_first:
+            return found
+        drop = np.where(np.arange(found.shape[1]) < found.shape[1] // 4, 1e-3, 0.0)
+        return found - drop * (np.arange(len(found)) == channels.index("z"))[:, None]
+
+    monkeypatch.setattr("diagnose.dataset.predict", dropping)
+    regressors, by_size = without_leading_step_errors(screened.regressors, screened.by_size, pool)
+    known, found = pulled.observations, regressors.dataset.observations
+    np.testing.assert_array_equal(found[0].step_error, known[0].step_error)
+    np.testing.assert_array_equal(by_size[0][0].residual[0], screened.singles[0].residual[0])
+    assert not np.array_equal(found[1].step_error, known[1].step_error)
+
+
 def test_without_a_simulated_effect_nothing_changes(screened, pool):
     nothing = [[replace(screened.singles[0], is_simulated=False)], []]
     regressors, by_size = without_leading_step_errors(screened.regressors, nothing, pool)
