@@ -122,7 +122,7 @@ def _in_its_place(regressors: Regressors, rest: Hypothesis, alike: LookAlike) ->
         coefficients=np.r_[np.zeros(len(rest.coordinates)), alike.strengths],
         log_zeta_change=alike.log_zeta_change,
     )
-    return joined_from_null(regressors, rest, alike.variant, fit)
+    return joined_from_null(regressors, rest, [alike.variant], fit)
 
 
 def _response(best: Hypothesis, place: int) -> list[np.ndarray]:

@@ -26,6 +26,50 @@ Ranking = tuple[float, float]
 DEFAULT_RANKINGS: tuple[Ranking, ...] = ((0.3, 0.1), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0))
 
 
+def fits_beside(
+    matrices: GramMatrices,
+    lower: np.ndarray,
+    sets: Sequence[Sequence[ShapeVariant]],
+    miss: np.ndarray,
+    rankings: Sequence[Ranking],
+    settings: LinearFitSettings,
+) -> list[list[LinearFit]]:
+    """Linear fits of sets of further effects beside a hypothesis.
+
+    Args:
+        matrices: Gram matrices of a hypothesis's columns, and of the regressors' behind them.
+        lower: Lower bound of the change of each of its coordinates; empty beside no effect.
+        sets: Effects that may be added to it, one or several at once.
+        miss: Mean square that is left in each block without them, shape (blocks,).
+        rankings: Numbers of the fits.
+        settings: Weights of the fits.
+
+    Returns:
+        By ranking, one of each set.
+    """
+    count = len(lower)
+    inflation = [floor_inflation(matrices.blocks, miss, share, settings) for share, _ in rankings]
+    found: dict[tuple[int, int], LinearFit] = {}
+    taken = [[count + column for each in several for column in each.columns] for several in sets]
+    # Fits of as many columns are made side by side.
+    for size in sorted({len(each) for each in taken}):
+        alike = [place for place, each in enumerate(taken) if len(each) == size]
+        bounds = [[b for each in sets[k] for b in lower_bounds(each.effect)] for k in alike]
+        columns = np.tile([[*range(count), *taken[k]] for k in alike], (len(rankings), 1))
+        request = FitRequest(
+            columns,
+            np.full(columns.shape, settings.strength_prior),
+            np.zeros(columns.shape),
+            np.tile([[*lower, *each] for each in bounds], (len(rankings), 1)),
+            np.repeat([error for _, error in rankings], len(alike)),
+            np.repeat(inflation, len(alike)),
+        )
+        keys = [(ranking, place) for ranking in range(len(rankings)) for place in alike]
+        found |= zip(keys, fit_each(matrices, request, settings), strict=True)
+    every = range(len(sets))
+    return [[found[ranking, place] for place in every] for ranking in range(len(rankings))]
+
+
 def best_variants(
     matrices: GramMatrices,
     lower: np.ndarray,
@@ -36,41 +80,20 @@ def best_variants(
 ) -> list[dict[str, tuple[ShapeVariant, LinearFit]]]:
     """The best variant of each effect and its linear fit, by each of some rankings.
 
-    Args:
-        matrices: Gram matrices of a hypothesis's columns, and of the regressors' behind them.
-        lower: Lower bound of the change of each of its coordinates; empty beside no effect.
-        variants: Effects that may be added to it.
-        miss: Mean square that is left in each block without them, shape (blocks,).
-        rankings: Numbers of the fits.
-        settings: Weights of the fits.
+    Arguments as for `fits_beside`, with the variants that may be added one by one.
 
     Returns:
         By ranking, by name of the effect.
     """
-    count = len(lower)
-    inflation = [floor_inflation(matrices.blocks, miss, share, settings) for share, _ in rankings]
-    best: list[dict[str, tuple[ShapeVariant, LinearFit]]] = [{} for _ in rankings]
-    # Fits of as many columns are made side by side.
-    for size in sorted({len(each.columns) for each in variants}):
-        alike = [each for each in variants if len(each.columns) == size]
-        taken = [[*range(count), *(count + column for column in each.columns)] for each in alike]
-        bounds = [[*lower, *lower_bounds(each.effect)] for each in alike]
-        columns = np.tile(taken, (len(rankings), 1))
-        request = FitRequest(
-            columns,
-            np.full(columns.shape, settings.strength_prior),
-            np.zeros(columns.shape),
-            np.tile(bounds, (len(rankings), 1)),
-            np.repeat([error for _, error in rankings], len(alike)),
-            np.repeat(inflation, len(alike)),
-        )
-        fits = fit_each(matrices, request, settings)
-        for place, leading in enumerate(best):
-            mine = fits[place * len(alike) : (place + 1) * len(alike)]
-            for variant, fit in zip(alike, mine, strict=True):
-                name = variant.effect.about.name
-                if name not in leading or fit.score > leading[name][1].score:
-                    leading[name] = variant, fit
+    alone = [(each,) for each in variants]
+    best: list[dict[str, tuple[ShapeVariant, LinearFit]]] = []
+    for fits in fits_beside(matrices, lower, alone, miss, rankings, settings):
+        leading: dict[str, tuple[ShapeVariant, LinearFit]] = {}
+        for variant, fit in zip(variants, fits, strict=True):
+            name = variant.effect.about.name
+            if name not in leading or fit.score > leading[name][1].score:
+                leading[name] = variant, fit
+        best.append(leading)
     return best
 
 

@@ -20,6 +20,7 @@ from diagnose.hypotheses.hypothesis import (
     step_to,
     top_ranked,
 )
+from diagnose.hypotheses.joint_additions import joint_starts
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.linear_ranking import ranked_effects
 from diagnose.hypotheses.refinement import predicted_score, refine, relinearize
@@ -138,7 +139,7 @@ class Screening:
             report("pairs of effects")
             pairs = self.settings.pairs.where(is_far)
             larger_sets = self.settings.larger_sets.where(is_far)
-            by_size[1] = here.finish(here.refine_sets(by_size[0], by_size[0], pairs))
+            by_size[1] = here.sets_beside(by_size[0], [none], by_size[0], pairs)
             here, by_size = here.at_leading(by_size)
             here.add_effects(by_size, larger_sets, report)
             here, by_size = here.at_leading(by_size)
@@ -192,7 +193,7 @@ class Screening:
             if not (leave_gap and self.still_gains(by_size)):
                 break
             report(f"sets of {len(by_size) + 1} effects")
-            by_size.append(self.finish(self.refine_sets(by_size[-1], by_size[0], limits)))
+            by_size.append(self.sets_beside(by_size[-1], by_size[-2], by_size[0], limits))
             if by_size[-1]:
                 self.take_out(by_size, len(by_size) - 1)
 
@@ -353,15 +354,29 @@ class Screening:
         """Refine a hypothesis by so many simulations at most."""
         return refine(self.regressors, start, simulations, self.pool, self.settings.refinement)
 
-    def refine_sets(
+    def sets_beside(
         self,
         bases: Sequence[Hypothesis],
+        smaller: Sequence[Hypothesis],
         singles: Sequence[Hypothesis],
-        settings: SetScreeningSettings,
+        limits: SetScreeningSettings,
     ) -> list[Hypothesis]:
-        """Simulate the leading sets that begin with one of the bases."""
-        refinement = self.settings.refinement
-        return refine_sets(self.regressors, bases, singles, self.pool, settings, refinement)
+        """Simulate the leading sets of one effect more than the bases have, best first.
+
+        Args:
+            bases: Hypotheses that an effect is added to, best first.
+            smaller: Hypotheses of one effect less, to which two are added at once.
+            singles: Effects simulated alone, best first.
+            limits: Numbers of the choice.
+        """
+        regressors, pool, settings = self.regressors, self.pool, self.settings
+        found = refine_sets(regressors, bases, singles, pool, limits, settings.refinement)
+        joint = settings.joint
+        starts = joint_starts(regressors, smaller, found, pool, joint)
+        if starts:
+            raced = race(regressors, starts, pool, joint.of_race(limits), settings.refinement)
+            found += [each for each in raced if each.is_simulated]
+        return self.finish(found)
 
     def simulate_singles(
         self, ranked: Sequence[tuple[ShapeVariant, LinearFit]]

@@ -309,7 +309,7 @@ def _with_any(
     for leading in best:
         order = []
         for name, (variant, fit) in leading.items():
-            build = partial(joined_from_null, regressors, first, variant, fit, exact.get(name))
+            build = partial(joined_from_null, regressors, first, [variant], fit, exact.get(name))
             names = frozenset((*first.names, name))
             order.append(SetCandidate(names, True, fit.score, first, build))
         found.append(order)
@@ -319,23 +319,23 @@ def _with_any(
 def joined_from_null(
     regressors: Regressors,
     first: Hypothesis,
-    variant: ShapeVariant,
+    variants: Sequence[ShapeVariant],
     fit: LinearFit,
     exact: Sequence[np.ndarray] | None = None,
 ) -> Hypothesis:
-    """A hypothesis with another effect from its null, as a linear fit of both proposes.
+    """A hypothesis with further effects from their null, as a linear fit of all proposes.
 
     Args:
         regressors: The runs.
         first: The hypothesis.
-        variant: The effect.
-        fit: Of the hypothesis's coordinates, and of the effect's strengths behind them.
-        exact: By run, derivatives by the effect's strengths beside the hypothesis, shape (channels,
-            samples, strengths); those of the regressors where they are not given.
+        variants: The effects.
+        fit: Of the hypothesis's coordinates, and of the effects' strengths behind them.
+        exact: By run, derivatives by the strengths of the one effect beside the hypothesis, shape
+            (channels, samples, strengths); those of the regressors where they are not given.
     """
     count = len(first.coordinates)
     own = replace(fit, coefficients=fit.coefficients[count:])
-    added = linear_start(regressors, [variant], own)
+    added = linear_start(regressors, variants, own)
     assert added.proposed_step is not None
     change = np.r_[fit.coefficients[:count], added.proposed_step[1]]
     step = fit.log_zeta_change, change

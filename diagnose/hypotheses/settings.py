@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from diagnose.dataset import DEFAULT_INITIAL_ZETA, InitialZetaSettings
 from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings
+from diagnose.hypotheses.joint_additions import DEFAULT_JOINT, JointSettings
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking
 from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings
 from diagnose.hypotheses.set_candidates import (
@@ -58,6 +59,7 @@ class ScreeningSettings:
         refinement: Numbers of the refinement by simulation.
         pairs: Numbers of the choice of pairs.
         larger_sets: The same of sets of three effects and more.
+        joint: Numbers of the choice of two effects at once.
         exchange: Numbers of the choice of look-alikes.
     """
 
@@ -87,6 +89,7 @@ class ScreeningSettings:
     refinement: RefinementSettings = DEFAULT_REFINEMENT
     pairs: SetScreeningSettings = DEFAULT_PAIRS
     larger_sets: SetScreeningSettings = DEFAULT_LARGER_SETS
+    joint: JointSettings = DEFAULT_JOINT
     exchange: ExchangeSettings = DEFAULT_EXCHANGE
 
 

@@ -112,7 +112,7 @@ def test_an_effect_joins_with_its_exact_response(regressors, here, pool):
     count = len(here.coordinates)
     fit = linear_start(regressors, [variant]).fit
     both = np.r_[np.zeros(count), fit.coefficients]
-    joined = joined_from_null(regressors, here, variant, replace(fit, coefficients=both), exact)
+    joined = joined_from_null(regressors, here, [variant], replace(fit, coefficients=both), exact)
     assert joined.names == (*here.names, "loosening")
     assert (joined.columns[0][:, :, 1 + count] == exact[0][:, :, 0]).all()
     assert joined.columns[0].shape[2] == 1 + len(joined.coordinates)
