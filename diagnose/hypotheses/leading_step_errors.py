@@ -21,9 +21,10 @@ from diagnose.hypotheses.refinement import simulated_fit
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
 
-# A run is followed far worse where the RMS of a channel's residual grows by this share and by one
-# model error more [-]. Errors that change smoothly change it by less than a model error.
-MAX_GROWTH = 0.5
+# A run is followed far worse where the RMS of a channel's residual grows by this share [-] and by so
+# many model errors more. The error of a wheel that starts late by a drive's play is another by 54
+# um of x, under three; a wheel that drops changes z by twelve and more.
+MAX_GROWTH, MAX_MODEL_ERRORS = 0.5, 5.0
 
 
 def without_leading_step_errors(
@@ -75,5 +76,6 @@ def _is_far_worse(regressors: Regressors, residual: np.ndarray, change: np.ndarr
     """Tell whether a change of a run's residual, shape (channels, samples), is no small error."""
     blocks = [(channel, "slow") for channel in regressors.dataset.channels]
     before, after = (np.sqrt((each**2).mean(axis=1)) for each in (residual, residual + change))
-    most = (1 + MAX_GROWTH) * before + regressors.settings.model_errors(blocks)
+    most = (1 + MAX_GROWTH) * before
+    most += MAX_MODEL_ERRORS * regressors.settings.model_errors(blocks)
     return bool((after > most).any())
