@@ -21,9 +21,9 @@ from diagnose.hypotheses.refinement import simulated_fit
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
 
-# A run is followed far worse where the RMS of a channel's residual grows by this share [-] and by so
-# many model errors more. The error of a wheel that starts late by a drive's play is another by 54
-# um of x, under three; a wheel that drops changes z by twelve and more.
+# A run is followed far worse where the RMS of a channel's residual grows by this share [-] and by
+# so many model errors more. The error of a wheel that starts late by a drive's play is another by
+# 54 um of x, under three; a wheel that drops changes z by twelve and more.
 MAX_GROWTH, MAX_MODEL_ERRORS = 0.5, 5.0
 
 
