@@ -8,19 +8,18 @@ to nothing, so all pairs of further effects are fitted.
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 from diagnose.hypotheses.hypothesis import Hypothesis, least_changes, top_ranked
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_variants, fits_beside
 from diagnose.hypotheses.set_candidates import (
     SetCandidate,
-    SetScreeningSettings,
     joined_from_null,
+    taking_turns,
 )
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
-from drftjax.effects.catalogue import reported_names
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,6 @@ class JointSettings:
     max_per_effect: int = 2
     sets: int = 4
     max_continued: int = 2
-
-    def of_race(self, limits: SetScreeningSettings) -> SetScreeningSettings:
-        """Numbers by which these sets are refined; `limits` are those of other sets."""
-        return replace(limits, max_continued=self.max_continued)
 
 
 DEFAULT_JOINT = JointSettings()
@@ -71,10 +66,8 @@ def joint_starts(
     firsts = top_ranked(bases, settings.max_bases)
     for each in joint_candidates(regressors, firsts, settings.min_gain, pool):
         added = each.names.difference(each.base.names)
-        # Two forms of one effect are no set.
-        alike = len(reported_names(each.names)) < len(each.names)
         too_often = any(count[name] >= settings.max_per_effect for name in added)
-        if alike or too_often or each.names in taken:
+        if each.has_two_forms or too_often or each.names in taken:
             continue
         taken.add(each.names)
         count.update(added)
@@ -108,8 +101,7 @@ def joint_candidates(
     for of_each in zip(*by_base, strict=True):
         together = itertools.chain.from_iterable(of_each)
         orders.append(sorted(together, key=lambda each: -each.score))
-    for turn in itertools.zip_longest(*orders):
-        yield from (each for each in turn if each is not None)
+    return taking_turns(orders)
 
 
 def _by_ranking(
@@ -124,17 +116,15 @@ def _by_ranking(
     matrices = regressors.gram_matrices_beside_all(*of_run, pool)
     miss, weights, lower = first.fit.mean_square, regressors.settings, least_changes(first)
     others = [v for v in regressors.variants if v.effect.about.name not in first.names]
+    by_ranking = best_variants(matrices, lower, others, miss, rankings, weights)
     found = []
-    for ranking in rankings:
-        one = [ranking]
-        leading = best_variants(matrices, lower, others, miss, one, weights)[0]
+    for ranking, leading in zip(rankings, by_ranking, strict=True):
         alone = {name: fit.score for name, (_, fit) in leading.items()}
         pairs = list(itertools.combinations(leading, 2))
         sets = [[leading[name][0] for name in pair] for pair in pairs]
+        (fits,) = fits_beside(matrices, lower, sets, miss, [ranking], weights)
         order = []
-        for pair, both, fit in zip(
-            pairs, sets, fits_beside(matrices, lower, sets, miss, one, weights)[0], strict=True
-        ):
+        for pair, both, fit in zip(pairs, sets, fits, strict=True):
             if fit.score < max(alone[name] for name in pair) + min_gain:
                 continue
             build = partial(joined_from_null, regressors, first, both, fit)

@@ -23,7 +23,7 @@ from diagnose.run_pool import RunPool
 
 # A run is followed far worse where the RMS of a channel's residual grows by this share [-] and by
 # so many model errors more. The error of a wheel that starts late by a drive's play is another by
-# 54 um of x, under three; a wheel that drops changes z by twelve and more.
+# 54 um of x, under three; a wheel that drops changes z by eleven and more (20 um each).
 MAX_GROWTH, MAX_MODEL_ERRORS = 0.5, 5.0
 
 
@@ -73,7 +73,13 @@ def without_leading_step_errors(
 
 
 def _is_far_worse(regressors: Regressors, residual: np.ndarray, change: np.ndarray) -> bool:
-    """Tell whether a change of a run's residual, shape (channels, samples), is no small error."""
+    """Tell whether a change of a run's residual is more than a step's error may be.
+
+    Args:
+        regressors: The runs.
+        residual: Of the leading hypothesis in one run [m, N, N m], shape (channels, samples).
+        change: Of this residual, likewise.
+    """
     blocks = [(channel, "slow") for channel in regressors.dataset.channels]
     before, after = (np.sqrt((each**2).mean(axis=1)) for each in (residual, residual + change))
     most = (1 + MAX_GROWTH) * before

@@ -2,7 +2,7 @@
 
 All effects are ranked by linear fits; the leading ones are refined by simulation, alone, then in
 pairs with all others, then in larger sets, stepwise: to the best sets of one size each other effect
-is added, and those that no longer help are taken out again.
+is added, two at once to those a size below, and those that no longer help are taken out again.
 """
 
 from collections.abc import Callable, Sequence
@@ -371,11 +371,10 @@ class Screening:
         """
         regressors, pool, settings = self.regressors, self.pool, self.settings
         found = refine_sets(regressors, bases, singles, pool, limits, settings.refinement)
-        joint = settings.joint
-        starts = joint_starts(regressors, smaller, found, pool, joint)
-        if starts:
-            raced = race(regressors, starts, pool, joint.of_race(limits), settings.refinement)
-            found += [each for each in raced if each.is_simulated]
+        of_joint = replace(limits, max_continued=settings.joint.max_continued)
+        starts = joint_starts(regressors, smaller, found, pool, settings.joint)
+        raced = race(regressors, starts, pool, of_joint, settings.refinement)
+        found += [each for each in raced if each.is_simulated]
         return self.finish(found)
 
     def simulate_singles(

@@ -118,6 +118,11 @@ class SetCandidate:
     base: Hypothesis
     build: Callable[[], Hypothesis]
 
+    @property
+    def has_two_forms(self) -> bool:
+        """Two forms of one effect are in it: a verdict would name one, with two sets of numbers."""
+        return len(reported_names(self.names)) < len(self.names)
+
 
 def set_candidates(
     regressors: Regressors,
@@ -148,6 +153,11 @@ def set_candidates(
         for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)
             orders.append(sorted(together, key=lambda each: -each.score))
+    return taking_turns(orders)
+
+
+def taking_turns(orders: Sequence[Sequence[SetCandidate]]) -> Iterator[SetCandidate]:
+    """The first of each order, then the second of each, and so on."""
     for turn in itertools.zip_longest(*orders):
         yield from (each for each in turn if each is not None)
 

@@ -22,7 +22,6 @@ from diagnose.hypotheses.set_candidates import (
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
-from drftjax.effects.catalogue import reported_names
 
 # By names of a set, by (whether the added effect starts at its null, names of the base).
 Starts = dict[frozenset[str], dict[tuple[bool, tuple[str, ...]], SetCandidate]]
@@ -51,8 +50,7 @@ def refine_sets(
     """
     starts: Starts = {}
     for each in set_candidates(regressors, bases, singles, pool, settings):
-        # Two forms of one effect are no set: the verdict would name one, with two sets of numbers.
-        if len(reported_names(each.names)) < len(each.names):
+        if each.has_two_forms:
             continue
         key = each.from_null, each.base.names
         starts.setdefault(each.names, {}).setdefault(key, each)

@@ -55,5 +55,5 @@ def test_sets_that_are_known_or_add_one_effect_too_often_are_not_begun(regressor
     assert max(count.values()) <= SETTINGS.max_per_effect
 
 
-def test_two_effects_of_which_one_does_all_are_not_begun_at_once(regressors, none, pool):
+def test_pairs_that_gain_too_little_beyond_the_better_one_are_not_begun(regressors, none, pool):
     assert joint_starts(regressors, [none], [], pool, JointSettings(min_gain=1e3)) == []
