@@ -29,7 +29,10 @@ DRFT = [sys.executable, "-m", "drftjax.commands.main"]
 TICK = 0.1
 PATIENCE = 180.0  # four processes may share half a core [s]
 TRIES = 3
-TOO_BUSY = "does not answer|went SAFE|has sent no measurement|the recorder did not answer"
+TOO_BUSY = (
+    "does not answer|went SAFE|has sent no measurement|the recorder did not answer"
+    "|this computer sent no command for"
+)
 # HILS (sim) and HILS (real), at ten ticks a second and with coarse plates [m].
 CLOSE = 1.5e-3
 # What the rig's zeta asks for of a wheel at rest, and what coarse plates may add [m].
