@@ -18,9 +18,9 @@ def centre(of_what: str) -> Any:
     return shape("m", 0.5, starts, meaning, least=-math.inf)
 
 
-def width() -> Any:
+def width(meaning: str = "its standard deviation along x") -> Any:
     """Field: width of the effect along x [m]."""
-    return shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), "its standard deviation along x")
+    return shape("m", 0.15, (0.05, 0.1, 0.2, 0.4), meaning)
 
 
 def wavelength() -> Any:

@@ -156,6 +156,24 @@ class TerrainWave(MemorylessZetaFactor):
         return 1 + self.cosine * jnp.cos(turn) + self.sine * jnp.sin(turn)
 
 
+class TerrainStep(MemorylessZetaFactor):
+    """zeta passes from one level to another along x; a wide passage is a ramp."""
+
+    about: ClassVar = EffectInfo(
+        "terrain_step",
+        "terrain",
+        "ζ = ζ (1 + excess tanh((x - centre) / width))",
+        "zeta depends on the place: it passes from one level to another",
+        form_of="terrain_variation",
+    )
+    excess: Number = strength("-", 0.1, "excess of zeta far ahead over that at the centre")
+    centre: Number = places.centre("passage")
+    width: Number = places.width("half of the passage along x")
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        return 1 + self.excess * jnp.tanh((moment.position[0] - self.centre) / self.width)
+
+
 class Bulldozing(AbstractSandLoad):
     """Sand piles up ahead: a resistance that grows with travel and saturates.
 
@@ -231,6 +249,7 @@ TERRAIN = (
     SinkageHardening,
     TerrainVariation,
     TerrainWave,
+    TerrainStep,
     Bulldozing,
     Heap,
 )

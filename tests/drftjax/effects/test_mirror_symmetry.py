@@ -87,6 +87,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "sinkage_hardening": ((), "depth"),
     "terrain_variation": (("centre",), "a patch stays where it is"),
     "terrain_wave": (("sine",), "waves stay where they are"),
+    "terrain_step": (("excess", "centre"), "harder ahead is softer behind"),
     "bulldozing": ((), "sand piles up on the side that the wheel goes to"),
     "heap": ((), "a heap stands on the side that the wheel goes to"),
     "rate_hardening": ((), "a plate's speed knows no direction"),
@@ -149,7 +150,7 @@ def ran(given: dict, angle: float, omega: np.ndarray) -> Output:
 
 def sizes(name: str) -> dict[str, float]:
     """Typical strengths, and shapes that such a short run can feel."""
-    near = {"terrain_variation": {"centre": 0.4}, "surface_bump": {"centre": 0.4}}
+    near = dict.fromkeys(("terrain_variation", "terrain_step", "surface_bump"), {"centre": 0.4})
     given = {field: float(getattr(KNOWN[name](), field)) for field in shapes(KNOWN[name])}
     return typical(name) | given | near.get(name, {})
 
