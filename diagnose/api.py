@@ -232,7 +232,7 @@ def gather_inputs(runs: Runs, origin: float | None = None) -> GatheredRuns:
     prepared, left_out = [], {}
     for name, run in named_runs(runs).items():
         try:
-            prepared.append(as_prepared(name, run))
+            prepared.append(as_prepared(name, run, carriage_forces=True))
         except RunError as problem:
             left_out[name] = str(problem)
     if left_out and not prepared:

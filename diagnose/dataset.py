@@ -21,6 +21,7 @@ from diagnose.model.augmented_model import (
     program_within,
     slopes,
 )
+from diagnose.model.carriage_hold import CarriageHold
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
@@ -30,7 +31,6 @@ from drftjax.recorded.matched_zeta import (
     ZetaMatchSettings,
     match_mean_sinkage,
 )
-from drftjax.recorded.observation import SMALLEST_NOISE, white_noise
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
@@ -136,6 +136,14 @@ class RigDataset:
         return [found[run] for run in self.run_numbers]
 
     @cached_property
+    def holds(self) -> list[CarriageHold]:
+        """By run, what its readings say of how a free carriage is held."""
+        return [
+            CarriageHold.of(each, self.channels, self.time(run))
+            for run, each in enumerate(self.runs)
+        ]
+
+    @cached_property
     def trials(self) -> list[Trial]:
         """Each run's trial, padded."""
         return [_unstack(self.batch.trials, run) for run in self.run_numbers]
@@ -222,7 +230,7 @@ class RigDataset:
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
         for name, row in zip(observation.channels, observation.values, strict=True):
             values[self.channels.index(name)] = row[self.counts(run)]
-        return values
+        return self.holds[run].of_recording(values)
 
     def prediction(
         self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray
@@ -244,7 +252,8 @@ class RigDataset:
             coordinates,
             self.shared,
         )
-        return np.asarray(found)[:, : len(self.counts(run))][:, self.counts(run)]
+        counts = self.counts(run)
+        return self.holds[run].of_simulation(np.asarray(found)[:, : len(counts)][:, counts])
 
     def derivatives(
         self,
@@ -277,7 +286,7 @@ class RigDataset:
                 of_runs[run],
             )
             counts = self.counts(run)
-            return slope[:, : len(counts)][:, counts]
+            return self.holds[run].of_simulation(slope[:, : len(counts)][:, counts])
 
         return self.map(pool, of)
 
@@ -315,20 +324,7 @@ def decimate(each: PreparedRun, max_rate: float = DEFAULT_DATASET.max_sample_rat
     if every < 2:
         return each
     kept = slice(int(np.argmax(seen.after_start)) % every, None, every)
-    values = seen.values[:, kept]
-    noise = [
-        max(white_noise(row), SMALLEST_NOISE[name])
-        for name, row in zip(seen.channels, values, strict=True)
-    ]
-    fewer = replace(
-        seen,
-        time=seen.time[kept],
-        values=values,
-        counts=seen.counts[kept],
-        noise=np.array(noise),
-        step_error=None if seen.step_error is None else seen.step_error[:, kept],
-    )
-    return replace(each, observation=fewer)
+    return replace(each, observation=seen.thinned(kept))
 
 
 def padded_count(count: int) -> int:

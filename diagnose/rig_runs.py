@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from zlib import crc32
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from drftjax.common.errors import InputError
 from drftjax.recorded.gather import GatheredRuns, gather
-from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.recorded.prepared_run import PreparedRun, prepare_run
 from drftjax.setups.setup import SetUp
 from drftjax.setups.terrain_setup import ZetaKnots
 
@@ -37,7 +38,8 @@ def gather_runs(
     Raises:
         InputError: where none can be used, or the runs are of several wheels and none prevails.
     """
-    gathered = gather(given, sinkage=True, tell=tell)
+    ready = partial(prepare_run, carriage_forces=True)
+    gathered = gather(given, ready, sinkage=True, tell=tell)
     kept = require_one_rig(gathered.runs, origin)
     for why in kept.skipped.values():
         tell(f"left out: {why}")

@@ -52,11 +52,11 @@ def _channel_sentences(dataset: RigDataset) -> list[str]:
             note = f"{', '.join(lacking)} {lack} {channel}, which other runs have"
             unplaced = "; taken to start at x = 0, wherever that was" if channel == "x" else ""
             notes.append(f"{note}{unplaced}.")
-    unused = sorted({channel for c in dataset.runs for channel in c.observation.unused})
-    if unused and not driven:
-        was = "was" if len(unused) == 1 else "were"
+    forces = [each for each in ("fx", "fz") if each in dataset.channels]
+    if forces and not driven:
+        are = "is" if len(forces) == 1 else "are"
         notes.append(
-            f"{', '.join(unused)} {was} recorded and not compared: of a free carriage x, z and "
-            "torque are."
+            f"{' and '.join(forces)} of the free carriage {are} compared less its inertia: what is "
+            "left holds the carriage, or weighs on it, on any sand."
         )
     return notes

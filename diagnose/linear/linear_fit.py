@@ -28,6 +28,7 @@ import numpy as np
 
 from diagnose.linear.bed import DEFAULT_BED, AbstractBed
 from diagnose.linear.residual_blocks import KINDS
+from diagnose.model.carriage_hold import holds_carriage
 
 Block = tuple[str, str]
 
@@ -37,9 +38,15 @@ def worth_by_block(blocks: Sequence[Block], slow: float, fast: float) -> np.ndar
 
     Args:
         blocks: (channel, kind) of each block.
-        slow, fast: Statements in a bin of a slow part and in a sample of a fast part [-].
+        slow, fast: Statements in a bin of a slow part and in a sample of a fast part [-]. What
+            holds a free carriage (`diagnose.model.carriage_hold`) is averaged over a bin, so that
+            each says one thing: no formula of the sand is wrong there in the next bin, too.
     """
-    return np.array([{"slow": slow, "fast": fast}[kind] for _, kind in blocks])
+    plain, held = {"slow": slow, "fast": fast}, {"slow": 1.0, "fast": 0.0}
+    holds = holds_carriage(blocks)
+    return np.array(
+        [(held if hold else plain)[kind] for (_, kind), hold in zip(blocks, holds, strict=True)]
+    )
 
 
 def _default_model_error() -> Mapping[Block, float]:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diagnose.dataset import RigDataset, with_zeta
+from diagnose.linear.hold_responses import with_hold_responses
 from diagnose.linear.input_sensitivity import (
     READINGS,
     InputSensitivity,
@@ -122,6 +123,9 @@ class Regressors:
             plain = dataset.prediction(AugmentedModel(), run, log_zeta[run], np.zeros(0))
             columns = _responses(dataset, run, linearized, effects)
             columns[:, :, 1:] *= typical
+            columns = with_hold_responses(
+                dataset, run, float(log_zeta[run]), variants, columns, plain
+            )
             return columns, plain - dataset.recording(run)
 
         both = dataset.map(pool, of)

@@ -21,9 +21,11 @@ the fit alone would reward what bends to every run.
 
 `unknown` is a mechanism outside the catalogue, beside any hypothesis: it is taken to leave a share
 $\rho$ (in amplitude) of what the hypothesis leaves beyond noise and $a_b$, with three free numbers.
-Alone, it asks of listed effects that they explain nearly all of a gap to be believed. Beside some
-it is a remainder. It has a part of the set's weight, by what it gains, and adds nothing to it: an
-effect that takes a part of what something unknown does is no more credible for that.
+Alone, it asks of listed effects that they explain nearly all of a gap to be believed. What holds a
+free carriage (`diagnose.model.carriage_hold`) it leaves as it is, as no sand and no wheel acts on
+that. Beside some effects it is a remainder. It has a part of the set's weight, by what it gains,
+and adds nothing to it: an effect that takes a part of what something unknown does is no more
+credible for that.
 
 The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`drft blind make
 --seed 7301`, sets 051 to 171), where they gave the truth most weight: chosen on either half, they
@@ -46,6 +48,7 @@ from diagnose.linear.linear_fit import (
     LinearFitSettings,
     worth_by_block,
 )
+from diagnose.model.carriage_hold import holds_carriage
 
 NONE, UNKNOWN = "none", "unknown"
 
@@ -180,9 +183,10 @@ def log_weights(
     pardoned = free * beyond_scatter(reference.zeta_variance)
     worth = sample_count * settings.worth(blocks)
     taken = 1 - settings.unknown_residual_share**2
+    open_to_unknown = np.array([not each for each in holds_carriage(blocks)], float)
 
     def evidence(power: np.ndarray, variance: float, explained: float = 0.0) -> float:
-        left = power - explained * beyond(power)
+        left = power - explained * open_to_unknown * beyond(power)
         scatter = variance - explained * beyond_scatter(variance)
         of_samples = -0.5 * float((worth * np.log(left + allowed)).sum())
         return of_samples + bed.evidence(scatter, runs - 1, pardoned)

@@ -28,6 +28,7 @@ from diagnose.linear.residual_blocks import SlowFastSplit
 from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSettings
 from diagnose.localization.shares import GapShare, bootstrap_counts, interval_of
 from diagnose.model.augmented_model import AugmentedModel
+from diagnose.model.carriage_hold import CarriageHold
 from diagnose.model.linearized_run import FORCES, MOTION
 from diagnose.model.unknown_inputs import INPUTS
 from diagnose.run_pool import RunPool
@@ -241,7 +242,8 @@ def _run_regressors(
     padded_knots = spacing * np.arange(size)
     hats = jnp.asarray(_hat(np.asarray(linearized.middle_time)[:, None], padded_knots, spacing))
     nodes = np.asarray(linearized.time)[: int(linearized.nodes) + 1]
-    slow = _SlowPart(dataset.channels, SlowFastSplit.of(time), time, nodes, residual, errors)
+    split, hold = SlowFastSplit.of(time), dataset.holds[run]
+    slow = _SlowPart(dataset.channels, split, time, nodes, residual, errors, hold)
     own = slow.of_nodes(np.asarray(propagate(linearized, zeta_sensitivity(linearized))))
     columns = {}
     for name in INNER_STAGES:
@@ -250,7 +252,7 @@ def _run_regressors(
     at_samples = _hat(time[:, None], padded_knots, spacing)
     for channel in dataset.channels:
         read = [at_samples if c == channel else 0 * at_samples for c in dataset.channels]
-        columns[READING + channel] = _beside(own, slow.of_samples(read))
+        columns[READING + channel] = _beside(own, slow.of_readings(read))
     data = [-part[:, 0] for part in slow.of_samples(list(residual[:, :, None]))]
     return knots, columns, data
 
@@ -265,6 +267,7 @@ class _SlowPart:
     nodes: np.ndarray
     residual: np.ndarray
     errors: Mapping[str, float]
+    hold: CarriageHold
 
     def of_nodes(self, response: np.ndarray) -> list[np.ndarray]:
         """By channel, of readings at nodes, shape (nodes, 5, columns)."""
@@ -275,7 +278,11 @@ class _SlowPart:
         for channel in self.channels:
             rows = response[:, READINGS.index(channel)]
             found.append(rows[place] * (1 - share) + rows[place + 1] * share)
-        return self.of_samples(found)
+        return self.of_readings(found)
+
+    def of_readings(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """By channel, of readings at samples, shape (samples, columns) each."""
+        return self.of_samples(list(self.hold.of_simulation(np.stack(values))))
 
     def of_samples(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """By channel, of values at samples, shape (samples, columns) each."""

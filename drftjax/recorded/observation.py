@@ -13,6 +13,9 @@ from drftjax.runlog.record import CHANNELS, RunLog
 FREE_CHANNELS = ("x", "z", "torque")
 
 
+FREE_CHANNELS_WITH_FORCES = ("x", "z", "fx", "fz", "torque")
+
+
 DRIVEN_CHANNELS = ("z", "fx", "fz", "torque")
 
 
@@ -108,6 +111,22 @@ class Observation:
         """
         return self._at([self.channels.index(name) for name in channels])
 
+    def thinned(self, kept: slice) -> "Observation":
+        """The same with these of its samples alone, and with the noise that they show."""
+        values = self.values[:, kept]
+        noise = [
+            max(white_noise(row), SMALLEST_NOISE[name])
+            for name, row in zip(self.channels, values, strict=True)
+        ]
+        return replace(
+            self,
+            time=self.time[kept],
+            values=values,
+            counts=self.counts[kept],
+            noise=np.array(noise),
+            step_error=None if self.step_error is None else self.step_error[:, kept],
+        )
+
     def _at(self, numbers: Sequence[int]) -> "Observation":
         picked = list(numbers)
         return replace(
@@ -150,13 +169,15 @@ def sampling_intervals(time: np.ndarray) -> np.ndarray:
     return np.r_[np.inf, np.maximum(np.round(steps / usual), 1.0)]
 
 
-def comparable_channels(driven: bool) -> tuple[str, ...]:
+def comparable_channels(driven: bool, carriage_forces: bool = False) -> tuple[str, ...]:
     """Names of the channels that are compared where they are recorded.
 
     Args:
         driven: True where the carriage is driven, so that its x is given; False where it is free.
+        carriage_forces: True where the forces of a free carriage are compared, too.
     """
-    return DRIVEN_CHANNELS if driven else FREE_CHANNELS
+    free = FREE_CHANNELS_WITH_FORCES if carriage_forces else FREE_CHANNELS
+    return DRIVEN_CHANNELS if driven else free
 
 
 def require_channels(names: Sequence[str]) -> None:
@@ -179,6 +200,7 @@ def observe(
     *,
     keep_rest: bool = False,
     compare: Sequence[str] = CHANNELS,
+    carriage_forces: bool = False,
     settings: ObservationSettings = DEFAULT_OBSERVATION,
 ) -> Observation:
     """Channels of a recorded run that its simulation predicts.
@@ -193,13 +215,15 @@ def observe(
             standing wheel holds whatever sinkage it has reached, so they say nothing of the
             sand's parameters, and what a rig does at rest is not the model's matter.
         compare: Channels that are compared, of those that the simulation predicts.
+        carriage_forces: True to compare the forces on a free carriage, too. They say nothing of the
+            sand that its motion does not say, but how the carriage is held.
         settings: Smallest noise of each channel, and speeds that count as standing.
 
     Raises:
         InputError: the run has none of the channels, never moves, or was not recorded meanwhile.
     """
     require_channels(compare)
-    predicted = comparable_channels(driven=run.command.vx is not None)
+    predicted = comparable_channels(run.command.vx is not None, carriage_forces)
     wanted = tuple(each for each in predicted if each in compare)
     recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
     channels = tuple(each for each in wanted if each in recorded)

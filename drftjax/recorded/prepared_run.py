@@ -68,6 +68,7 @@ def prepare_run(
     step: float | None = None,
     keep_rest: bool = False,
     compare: Sequence[str] = CHANNELS,
+    carriage_forces: bool = False,
     start_settings: StartSettings = DEFAULT_START,
     settings: ObservationSettings = DEFAULT_OBSERVATION,
 ) -> PreparedRun:
@@ -77,7 +78,7 @@ def prepare_run(
         name: The run, as reports call it.
         run: Recorded run.
         model, fitted, zeta, step: See `setup_for`.
-        keep_rest, compare: See `observe`.
+        keep_rest, compare, carriage_forces: See `observe`.
         start_settings: Which samples give the start, and by which curve.
         settings: Which samples are compared, and how noisy they are at least.
 
@@ -90,7 +91,12 @@ def prepare_run(
         require_upright(run)
         setup = setup_for(run, model, fitted=fitted, zeta=zeta, step=step)
         observation = observe(
-            run, setup.wheel.radius, keep_rest=keep_rest, compare=compare, settings=settings
+            run,
+            setup.wheel.radius,
+            keep_rest=keep_rest,
+            compare=compare,
+            carriage_forces=carriage_forces,
+            settings=settings,
         )
         setup.start = start_state(run, setup, start_settings, settings)
         choice = choose_setup_step(setup, RECORDED_STEPS)

@@ -189,7 +189,7 @@ class _Law:
         response = self.gram @ whole
         square, product = response @ whole, response @ np.r_[change, 1.0]
         found = np.zeros(len(self.matrices.blocks))
-        for channel in {channel for channel, _ in self.matrices.blocks if channel != "z"}:
+        for channel in self.matrices.by_law:
             at = np.array([each == channel for each, _ in self.matrices.blocks])
             known = weight[at] @ square[at] + self.settings.law_factor_prior**-2
             found[at] = -(weight[at] @ product[at]) / known

@@ -21,6 +21,7 @@ from diagnose.change.differences.settings import DifferenceFitSettings
 from diagnose.dataset import RigDataset
 from diagnose.linear.linear_fit import Block, block_names
 from diagnose.linear.residual_blocks import SlowFastSplit
+from diagnose.model.carriage_hold import holds_carriage
 from diagnose.run_pool import RunPool
 
 
@@ -73,6 +74,16 @@ class DifferenceGram:
     count: np.ndarray
     chance: np.ndarray
     least_worth: np.ndarray
+
+    @property
+    def by_law(self) -> tuple[str, ...]:
+        """Channels that move by the sand's law for some change of z.
+
+        What holds a free carriage does not.
+        """
+        holds = holds_carriage(self.blocks)
+        by_law = (c for (c, _), hold in zip(self.blocks, holds, strict=True) if not hold)
+        return tuple(each for each in dict.fromkeys(by_law) if each != "z")
 
     def mean_square(self, gram: np.ndarray, factors: np.ndarray) -> np.ndarray:
         """Mean square of a sum of columns in each block, shape (blocks,).

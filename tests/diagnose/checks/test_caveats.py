@@ -12,7 +12,9 @@ FORCES = ("fx", "fz", "torque")
 def case_of(*channels: tuple[str, ...], driven: bool = False) -> RigDataset:
     vx = [0.0, 0.0, 0.06, 0.06] if driven else None
     runs = [recorded(setup_of(SLOW, vx=vx), channels=each) for each in channels]
-    return RigDataset.of([coarse(f"run {number}", run) for number, run in enumerate(runs)])
+    return RigDataset.of(
+        [coarse(f"run {number}", run, carriage_forces=True) for number, run in enumerate(runs)]
+    )
 
 
 def of_channels(case: RigDataset) -> list[str]:
@@ -46,9 +48,11 @@ def test_what_no_run_has_cannot_be_told():
     assert note.startswith("No run has torque")
 
 
-def test_forces_of_a_free_carriage_are_not_compared_and_that_is_said():
-    (note,) = of_channels(case_of(("x", "z", "fx"), ("x", "z")))
-    assert note.startswith("fx was recorded and not compared")
+def test_how_forces_on_a_free_carriage_are_compared_is_said():
+    (note,) = of_channels(case_of(("x", "z", "fx"), ("x", "z", "fx")))
+    assert note.startswith("fx of the free carriage is compared less its inertia")
+    (note,) = of_channels(case_of(("x", "z", "fx", "fz")))
+    assert note.startswith("fx and fz of the free carriage are compared")
 
 
 def test_runs_of_one_condition_check_nothing_under_another():

@@ -150,7 +150,8 @@ def ran(given: dict, angle: float, omega: np.ndarray) -> Output:
 
 def sizes(name: str) -> dict[str, float]:
     """Typical strengths, and shapes that such a short run can feel."""
-    near = dict.fromkeys(("terrain_variation", "terrain_step", "surface_bump"), {"centre": 0.4})
+    places = "terrain_variation", "terrain_step", "surface_bump"
+    near = {each: {"centre": 0.4} for each in places}
     given = {field: float(getattr(KNOWN[name](), field)) for field in shapes(KNOWN[name])}
     return typical(name) | given | near.get(name, {})
 

@@ -1,0 +1,126 @@
+r"""What holds a free carriage: the sand's force less the carriage's inertia.
+
+Of a free carriage the sand's force on the wheel, as a load cell at the axle reads it, is
+
+$$F_x = m_x \ddot x + H_x, \qquad F_z = m_z \ddot z + H_z,$$
+
+so that x and z, twice differentiated, tell it already, but for H: what pulls at the carriage
+(friction, a cable, a slope of the rail) and the weight that the sand bears. H is a statement about
+the rig that no law of the sand has a part in, so H is what is compared. A simulation tells it step
+by step (`diagnose.model.augmented_model`). Of a recording, force and motion are averaged with the
+weights $(1 - (t/\tau)^2)^2$ over $\pm\tau$ before second differences are taken, as those of single
+readings are mostly noise; the simulated H is averaged likewise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import correlate1d
+
+from drftjax.recorded.prepared_run import PreparedRun
+
+# Half the time over which force and motion are averaged [s]: a pull that changes faster is not
+# seen.
+HALF_WINDOW = 0.25
+
+# By channel, the one whose motion it is beside, and the mass that moves.
+BESIDE = {"fx": ("x", "mass_x"), "fz": ("z", "mass_z")}
+
+
+def holds_carriage(blocks: Sequence[tuple[str, str]]) -> list[bool]:
+    """By (channel, kind) of a block: it tells what holds a free carriage, which x is read of."""
+    is_free = any(channel == "x" for channel, _ in blocks)
+    return [is_free and channel in BESIDE for channel, _ in blocks]
+
+
+@dataclass(frozen=True, eq=False)
+class CarriageHold:
+    """Readings of one run whose forces, of a free carriage, are those that hold it.
+
+    Attributes:
+        channels: Names of the rows of all arrays.
+        time: Times of the samples [s], shape (samples,).
+        masses: Mass that moves with the wheel, by channel of force [kg]; none of a driven carriage,
+            whose forces stay as they are read.
+    """
+
+    channels: tuple[str, ...]
+    time: np.ndarray
+    masses: dict[str, float]
+
+    @classmethod
+    def of(cls, run: PreparedRun, channels: tuple[str, ...], time: np.ndarray) -> "CarriageHold":
+        """Of one run, at the times compared [s]."""
+        is_free, rig = run.setup.rig.carriage == "free", run.setup.rig
+        masses = {
+            force: float(getattr(rig, mass))
+            for force, (motion, mass) in BESIDE.items()
+            if is_free and {force, motion} <= {*channels}
+        }
+        return cls(channels, time, masses)
+
+    def of_recording(self, values: np.ndarray) -> np.ndarray:
+        """Recorded channels, their forces as they are compared [m, N, N m].
+
+        Args:
+            values: As they were read, shape (channels, samples).
+
+        Returns:
+            The same shape; a force is NaN in a run shorter than two averages.
+        """
+        held = np.array(values, float)
+        for force, mass in self.masses.items():
+            place, motion = self.channels.index(force), self.channels.index(BESIDE[force][0])
+            held[place] = self._averaged(values[place], mass, values[motion])
+        return held
+
+    def of_simulation(self, values: np.ndarray) -> np.ndarray:
+        """Simulated channels, whose forces hold the carriage already, averaged alike.
+
+        Args:
+            values: Channels, or derivatives of them, shape (channels, samples, ...).
+        """
+        if not self.masses:
+            return values
+        held = np.array(values, float)
+        for force in self.masses:
+            held[self.channels.index(force)] = self._averaged(values[self.channels.index(force)])
+        return held
+
+    def _averaged(
+        self, force: np.ndarray, mass: float = 0.0, motion: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Average of a force [N], less a mass times the acceleration of some motion."""
+        interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+        half = max(1, round(HALF_WINDOW / interval))
+        last = len(self.time) - 1 if np.isinf(interval) else round(self.time[-1] / interval)
+        even = interval * np.arange(round(self.time[0] / interval), last + 1)
+        # An average reaches so far, and a second difference of averages by two further.
+        edge = half + 2
+        if len(even) <= 2 * edge:
+            return np.full_like(force, np.nan)
+        weight = (1 - (np.arange(-half, half + 1) / (half + 1)) ** 2) ** 2
+        weight /= weight.sum()
+
+        def average(rows: np.ndarray) -> np.ndarray:
+            rows = _between(self.time, even, rows)
+            return correlate1d(rows, weight, axis=0, mode="nearest")
+
+        whole = average(force)
+        if motion is not None:
+            speed = np.gradient(average(motion), interval)
+            whole = whole - mass * np.gradient(speed, interval)
+        # Near its ends a run has no whole average: the next one stands for it.
+        inner = np.clip(np.arange(len(even)), edge, len(even) - 1 - edge)
+        return _between(even, self.time, whole[inner])
+
+
+def _between(time: np.ndarray, wanted: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Rows at other times, linearly between those that there are, shape (wanted, ...)."""
+    if len(time) == len(wanted) and np.allclose(time, wanted, rtol=0, atol=1e-9):
+        return rows
+    place = np.clip(np.searchsorted(time, wanted, side="right") - 1, 0, len(time) - 2)
+    share = np.clip((wanted - time[place]) / (time[place + 1] - time[place]), 0, 1)
+    share = share.reshape(-1, *[1] * (rows.ndim - 1))
+    return rows[place] * (1 - share) + rows[place + 1] * share
