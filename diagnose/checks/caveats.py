@@ -59,4 +59,11 @@ def _channel_sentences(dataset: RigDataset) -> list[str]:
             f"{' and '.join(forces)} of the free carriage {are} compared less its inertia: what is "
             "left holds the carriage, or weighs on it, on any sand."
         )
+    unused = sorted({channel for c in dataset.runs for channel in c.observation.unused})
+    if unused and not driven:
+        was = "was" if len(unused) == 1 else "were"
+        notes.append(
+            f"{', '.join(unused)} {was} recorded in the loop, which drives the carriage, and not "
+            "compared."
+        )
     return notes

@@ -216,14 +216,17 @@ def observe(
             sand's parameters, and what a rig does at rest is not the model's matter.
         compare: Channels that are compared, of those that the simulation predicts.
         carriage_forces: True to compare the forces on a free carriage, too. They say nothing of the
-            sand that its motion does not say, but how the carriage is held.
+            sand that its motion does not say, but how the carriage is held. Those of a run in the
+            loop are not.
         settings: Smallest noise of each channel, and speeds that count as standing.
 
     Raises:
         InputError: the run has none of the channels, never moves, or was not recorded meanwhile.
     """
     require_channels(compare)
-    predicted = comparable_channels(run.command.vx is not None, carriage_forces)
+    # The loop drives the carriage of a run that was made in it.
+    with_forces = carriage_forces and run.online is None
+    predicted = comparable_channels(run.command.vx is not None, with_forces)
     wanted = tuple(each for each in predicted if each in compare)
     recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
     channels = tuple(each for each in wanted if each in recorded)

@@ -252,7 +252,7 @@ def as_log(wheel: FreeWheel, bed: Grains, title: str) -> RunLog:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", help="one of the runs, such as before/P1_60")
     given = parser.parse_args()

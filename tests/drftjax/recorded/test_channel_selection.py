@@ -9,7 +9,8 @@ import drftjax
 from drftjax.common.errors import InputError
 from drftjax.recorded.prepared_run import prepare_run
 from drftjax.runlog.hdf5.api import write_run
-from drftjax.runlog.record import Measured
+from drftjax.runlog.record import Measured, Online
+from drftjax.runlog.schema import COLUMNS
 from tests.helpers.synthetic_runs import SLOW, recorded, setup_of
 
 # A channel that is not compared takes no part: the same program on the same numbers.
@@ -38,6 +39,19 @@ def test_what_is_not_compared_is_told_as_unused(run):
     observation = prepare_run("run", run, compare=("x",)).observation
     assert observation.channels == ("x",)
     assert "z" in observation.unused
+
+
+def test_forces_on_a_free_carriage_are_compared_where_that_is_asked_and_no_loop_drives_it():
+    log = recorded(setup_of(SLOW, 0.74), channels=("x", "z", "fx"))
+    assert prepare_run("run", log).observation.channels == ("x", "z")
+    asked = prepare_run("run", log, carriage_forces=True).observation
+    assert asked.channels == ("x", "z", "fx")
+    columns = {each.name: np.arange(3) for each in COLUMNS["online"]}
+    online = Online(**columns, tick=0.1, zeta_step=0.01, tolerance=1e-3)
+    in_loop = dataclasses.replace(log, online=online)
+    looped = prepare_run("run", in_loop, carriage_forces=True).observation
+    assert looped.channels == ("x", "z")
+    assert looped.unused == ("fx",)
 
 
 @pytest.mark.parametrize(
