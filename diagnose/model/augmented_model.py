@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diagnose.model.carriage_hold import holding_forces
 from diagnose.model.shared_programs import Held, program_of
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, shapes, strengths
-from drftjax.physics.rig import FreeCarriage
+from drftjax.physics.wheel import GrouserWheel
 from drftjax.recorded.batch import PaddedObservations, between_rows
 from drftjax.runlog.record import CHANNELS
 from drftjax.simulation.trial import Trial
@@ -37,10 +38,6 @@ COSTLY_EFFECTS = frozenset(
 )
 
 SPEEDS = ("vx", "vz")
-
-# A load that has just begun may let a wheel slip in less time than a row [s]: it is taken from here
-# on.
-LET_GO = 0.2
 
 # In these stages effects act one after another, each on what the last one left.
 ORDERED_STAGES = ("drive", "sensor")
@@ -240,42 +237,26 @@ def _simulate(
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
     trial = with_effects(trial, model.build(coordinates, held))
     table = trial.run_to(observed.compared_rows, (*channels, *SPEEDS))
-    table = _holding_forces(table, channels, trial)
+    table = holding_forces(table, channels, trial)
     return between_rows(_nan_past_coverage(table, channels, trial), observed)
-
-
-def _holding_forces(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
-    """Channels of a run; the forces on a free carriage less what moves its masses.
-
-    A step's force is that of its change of speed, so that what is left is what holds the carriage.
-
-    Args:
-        table: Channels, then the speeds along x and z, shape (channels + 2, rows).
-        channels: Their names.
-        trial: The run.
-    """
-    rig, interval = trial.simulator.rig, trial.every * trial.step
-    rows = table[: len(channels)]
-    if not isinstance(rig.carriage, FreeCarriage):
-        return rows
-    for force, mass, speed in zip(("fx", "fz"), (rig.mass_x, rig.mass_z), table[-2:], strict=True):
-        if force in channels:
-            place = channels.index(force)
-            held = rows[place, 1:] - mass * jnp.diff(speed) / interval
-            first = jnp.ceil(LET_GO / interval).astype(int)
-            taken = jnp.maximum(jnp.arange(rows.shape[1]) - 1, first)
-            rows = rows.at[place].set(held[taken])
-    return rows
 
 
 # A run beyond this has run away, as with a damping below zero [m, N, N m]. Products of what goes
 # much further pass the range of numbers.
 RUN_AWAY = 1e12
+# A rounding below no grousers is none [m].
+SHORTEST = 1e-9
 
 
 def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
-    """The channels of a run, or no numbers where it runs away, or sinks past its plates."""
+    """The channels of a run, or no numbers where it runs away, or sinks past its plates.
+
+    Nor are there any of a wheel whose grousers would be shorter than none.
+    """
     lost = jnp.max(jnp.abs(table)) > RUN_AWAY
+    wheel = trial.simulator.adjusted().wheel
+    if isinstance(wheel, GrouserWheel):
+        lost |= wheel.grouser_height < -SHORTEST
     if "z" in channels:
         cut = trial.simulator.wheel.cut()
         limit = jnp.where(

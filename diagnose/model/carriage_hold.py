@@ -7,22 +7,30 @@ $$F_x = m_x \ddot x + H_x, \qquad F_z = m_z \ddot z + H_z,$$
 so that x and z, twice differentiated, tell it already, but for H: what pulls at the carriage
 (friction, a cable, a slope of the rail) and the weight that the sand bears. H is a statement about
 the rig that no law of the sand has a part in, so H is what is compared. A simulation tells it step
-by step (`diagnose.model.augmented_model`). Of a recording, force and motion are averaged with the
-weights $(1 - (t/\tau)^2)^2$ over $\pm\tau$ before second differences are taken, as those of single
-readings are mostly noise; the simulated H is averaged likewise.
+by step. Of a recording, force and motion are averaged with the weights $(1 - (t/\tau)^2)^2$ over
+$\pm\tau$ before second differences are taken, as those of single readings are mostly noise; the
+simulated H is averaged likewise.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy.ndimage import correlate1d
 
+from drftjax.physics.rig import FreeCarriage
 from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.simulation.trial import Trial
 
 # Half the time over which force and motion are averaged [s]: a pull that changes faster is not
 # seen.
 HALF_WINDOW = 0.25
+
+# A load that has just begun may let a wheel slip in less time than a row [s]: it is taken from here
+# on.
+LET_GO = 0.2
 
 # By channel, the one whose motion it is beside, and the mass that moves.
 BESIDE = {"fx": ("x", "mass_x"), "fz": ("z", "mass_z")}
@@ -124,3 +132,27 @@ def _between(time: np.ndarray, wanted: np.ndarray, rows: np.ndarray) -> np.ndarr
     share = np.clip((wanted - time[place]) / (time[place + 1] - time[place]), 0, 1)
     share = share.reshape(-1, *[1] * (rows.ndim - 1))
     return rows[place] * (1 - share) + rows[place + 1] * share
+
+
+def holding_forces(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
+    """Channels of a run; the forces on a free carriage less what moves its masses.
+
+    A step's force is that of its change of speed, so that what is left is what holds the carriage.
+
+    Args:
+        table: Channels, then the speeds along x and z, shape (channels + 2, rows).
+        channels: Their names.
+        trial: The run.
+    """
+    rig, interval = trial.simulator.rig, trial.every * trial.step
+    rows = table[: len(channels)]
+    if not isinstance(rig.carriage, FreeCarriage):
+        return rows
+    for force, mass, speed in zip(("fx", "fz"), (rig.mass_x, rig.mass_z), table[-2:], strict=True):
+        if force in channels:
+            place = channels.index(force)
+            held = rows[place, 1:] - mass * jnp.diff(speed) / interval
+            first = jnp.ceil(LET_GO / interval).astype(int)
+            taken = jnp.maximum(jnp.arange(rows.shape[1]) - 1, first)
+            rows = rows.at[place].set(held[taken])
+    return rows

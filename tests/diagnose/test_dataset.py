@@ -112,6 +112,16 @@ def test_a_wheel_that_runs_away_has_no_numbers(damping, runs_away):
     assert np.isfinite(told).all() == (not runs_away)
 
 
+# Of grousers of 18 mm: one that leaves some, and one that takes more than there is.
+@pytest.mark.parametrize(("excess", "is_wheel"), [(-0.017, True), (-0.019, False)])
+def test_a_wheel_whose_grousers_are_shorter_than_none_has_no_numbers(excess, is_wheel):
+    model = AugmentedModel((effect_class("grouser_height"),))
+    at = np.array([model.free[0].coordinate(excess)])
+    told = dataset_with().prediction(model, 0, 0.0, at)
+    assert np.isfinite(told).all() == is_wheel
+    assert np.isnan(told).all() == (not is_wheel)
+
+
 def test_a_wheel_that_sinks_as_deep_as_its_plates_reach_keeps_them_all():
     each = coarse("deep", recorded(setup_of(zeta=0.2)))
     dataset = RigDataset.of([each])
