@@ -1,4 +1,4 @@
-r"""What holds a free carriage: the sand's force less the carriage's inertia.
+r"""Hold of a free carriage: the sand's force less the carriage's inertia.
 
 Of a free carriage the sand's force on the wheel, as a load cell at the axle reads it, is
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
+from drftjax.effects.base import StepContext
 from drftjax.physics.rig import Rig
 from drftjax.physics.state import State
 from drftjax.physics.stress import ArcBisector, Dynamic, QuasiStatic
@@ -28,6 +29,19 @@ FOUND = 1e-3
 # squared; a force of some hundred newtons follows [N], [N m].
 QUOTIENT = 1e-4
 RADIUS, GRAVITY = 0.150, 9.81
+
+
+def moment_at(x: float) -> StepContext:
+    nought, one = jnp.zeros(()), jnp.ones(())
+    return StepContext(nought, one, jnp.array([x, 0.0]), jnp.zeros(2), nought, one, one, one)
+
+
+def test_sand_passes_from_soft_to_hard_at_a_place():
+    effect = KNOWN["terrain_step"](excess=0.2, centre=0.6, width=0.05)
+    factors = [float(effect.factor(moment_at(x), ())) for x in (0.0, 0.55, 0.6, 0.65, 1.2)]
+    # Twelve widths away tanh is one to 1e-10; at one width it is (e - 1/e) / (e + 1/e).
+    across = 0.2 * (np.e - 1 / np.e) / (np.e + 1 / np.e)
+    np.testing.assert_allclose(factors, [0.8, 1 - across, 1.0, 1 + across, 1.2], atol=1e-9)
 
 
 # Height decrease by the arc that truly touches

@@ -285,16 +285,6 @@ def test_terrain_variation_is_hardest_at_its_centre():
     assert np.mean((output.z - hold().z)[patch]) > 0  # firmer sand carries higher
 
 
-def test_terrain_step_passes_from_soft_to_hard_at_its_centre():
-    output = held("terrain_step", centre=0.6, width=0.05)
-    before = output.x < 0.6
-    excess = np.where(before, -1, 1) * size("terrain_step")
-    away = np.abs(output.x - 0.6) > 0.2  # four widths: within 2 tanh-tails of e^-8
-    np.testing.assert_allclose(output.zeta[away], (ZETA * (1 + excess))[away], rtol=TO_COME)
-    sunk = output.z - hold().z
-    assert np.mean(sunk[away & before]) < 0 < np.mean(sunk[away & ~before])
-
-
 def test_bulldozing_in_the_end_pulls_as_a_drawbar_does():
     piled, pulled = held("bulldozing", length=0.05), ran(True, drawbar={"force": 5.0})
     near(piled.slip[-1] - hold().slip[-1], pulled.slip[-1] - hold().slip[-1])
