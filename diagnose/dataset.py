@@ -230,7 +230,7 @@ class RigDataset:
         values = np.full((len(self.channels), int(self.counts(run).sum())), np.nan)
         for name, row in zip(observation.channels, observation.values, strict=True):
             values[self.channels.index(name)] = row[self.counts(run)]
-        return self.holds[run].of_recording(values)
+        return self.holds[run].of_readings(values)
 
     def prediction(
         self, model: AugmentedModel, run: int, log_zeta: float, coordinates: np.ndarray

@@ -62,8 +62,7 @@ def _channel_sentences(dataset: RigDataset) -> list[str]:
     unused = sorted({channel for c in dataset.runs for channel in c.observation.unused})
     if unused and not driven:
         was = "was" if len(unused) == 1 else "were"
-        notes.append(
-            f"{', '.join(unused)} {was} recorded in the loop, which drives the carriage, and not "
-            "compared."
-        )
+        in_loop = any(each.made_in_loop is not None for each in dataset.runs)
+        why = ": the loop drove the carriage" if in_loop else ""
+        notes.append(f"{', '.join(unused)} {was} recorded and not compared{why}.")
     return notes

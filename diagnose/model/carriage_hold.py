@@ -68,11 +68,11 @@ class CarriageHold:
         }
         return cls(channels, time, masses)
 
-    def of_recording(self, values: np.ndarray) -> np.ndarray:
-        """Recorded channels, their forces as they are compared [m, N, N m].
+    def of_readings(self, values: np.ndarray) -> np.ndarray:
+        """Channels as they are read, their forces as they are compared [m, N, N m].
 
         Args:
-            values: As they were read, shape (channels, samples).
+            values: Readings, or changes of them, shape (channels, samples, ...).
 
         Returns:
             The same shape; a force is NaN in a run shorter than two averages.
@@ -100,10 +100,12 @@ class CarriageHold:
         self, force: np.ndarray, mass: float = 0.0, motion: np.ndarray | None = None
     ) -> np.ndarray:
         """Average of a force [N], less a mass times the acceleration of some motion."""
-        interval = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+        if len(self.time) < 2:
+            return np.full_like(force, np.nan)
+        interval = float(np.median(np.diff(self.time)))
         half = max(1, round(HALF_WINDOW / interval))
-        last = len(self.time) - 1 if np.isinf(interval) else round(self.time[-1] / interval)
-        even = interval * np.arange(round(self.time[0] / interval), last + 1)
+        first, last = (round(each / interval) for each in self.time[[0, -1]])
+        even = interval * np.arange(first, last + 1)
         # An average reaches so far, and a second difference of averages by two further.
         edge = half + 2
         if len(even) <= 2 * edge:
@@ -117,8 +119,8 @@ class CarriageHold:
 
         whole = average(force)
         if motion is not None:
-            speed = np.gradient(average(motion), interval)
-            whole = whole - mass * np.gradient(speed, interval)
+            speed = np.gradient(average(motion), interval, axis=0)
+            whole = whole - mass * np.gradient(speed, interval, axis=0)
         # Near its ends a run has no whole average: the next one stands for it.
         inner = np.clip(np.arange(len(even)), edge, len(even) - 1 - edge)
         return _between(even, self.time, whole[inner])

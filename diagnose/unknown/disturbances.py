@@ -282,7 +282,7 @@ class _SlowPart:
 
     def of_readings(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """By channel, of readings at samples, shape (samples, columns) each."""
-        return self.of_samples(list(self.hold.of_simulation(np.stack(values))))
+        return self.of_samples(list(self.hold.of_readings(np.stack(values))))
 
     def of_samples(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """By channel, of values at samples, shape (samples, columns) each."""

@@ -1,5 +1,7 @@
 """What a case's runs cannot say."""
 
+import dataclasses
+
 import pytest
 
 from diagnose.checks.caveats import caveats
@@ -53,6 +55,15 @@ def test_how_forces_on_a_free_carriage_are_compared_is_said():
     assert note.startswith("fx of the free carriage is compared less its inertia")
     (note,) = of_channels(case_of(("x", "z", "fx", "fz")))
     assert note.startswith("fx and fz of the free carriage are compared")
+
+
+def test_what_was_recorded_and_is_not_compared_is_said():
+    run = recorded(setup_of(SLOW), channels=("x", "z", "fx"))
+    note = of_channels(RigDataset.of([coarse("run", run)]))
+    assert note == ["fx was recorded and not compared."]
+    looped = dataclasses.replace(coarse("run", run), made_in_loop=run)
+    (note,) = of_channels(RigDataset.of([looped]))
+    assert note == "fx was recorded and not compared: the loop drove the carriage."
 
 
 def test_runs_of_one_condition_check_nothing_under_another():
