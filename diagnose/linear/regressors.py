@@ -35,6 +35,7 @@ from diagnose.model.augmented_model import (
     predict,
     predict_with_jacobian,
 )
+from diagnose.model.interpolation import rows_at
 from diagnose.model.linearized_run import LinearizedRun
 from diagnose.model.shared_programs import program_of
 from diagnose.run_pool import RunPool
@@ -332,7 +333,7 @@ def _responses(
     picked = [READINGS.index(name) for name in dataset.channels]
     at_nodes = np.concatenate(found, axis=-1)[:, picked]
     node_times = np.asarray(along.time)[: int(along.nodes) + 1]
-    return _interpolate(dataset.time(run), node_times, at_nodes)
+    return np.moveaxis(rows_at(node_times, at_nodes, dataset.time(run)), 1, 0)
 
 
 def _compile_sensitivities(
@@ -404,16 +405,3 @@ def _neighbours(
         return first + int(np.ravel_multi_index(there, sizes))
 
     return tuple((moved(axis, -1), moved(axis, 1)) for axis in range(len(sizes)))
-
-
-def _interpolate(time: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values at node times, shape (nodes, channels, columns), linearly between these.
-
-    Returns:
-        Shape (channels, samples, columns).
-    """
-    place = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, len(nodes) - 2)
-    share = np.clip((time - nodes[place]) / (nodes[place + 1] - nodes[place]), 0, 1)
-    share = share[:, None, None]
-    between = values[place] * (1 - share) + values[place + 1] * share
-    return np.moveaxis(between, 1, 0)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diagnose.model.carriage_hold import holding_forces
+from diagnose.model.carriage_hold import SPEEDS, holding_forces
 from diagnose.model.shared_programs import Held, program_of
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, shapes, strengths
@@ -36,8 +36,6 @@ COSTLY_EFFECTS = frozenset(
         *("surface_incline", "surface_profile", "surface_bump"),
     )
 )
-
-SPEEDS = ("vx", "vz")
 
 # In these stages effects act one after another, each on what the last one left.
 ORDERED_STAGES = ("drive", "sensor")

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy.ndimage import correlate1d
 
+from diagnose.model.interpolation import rows_at
 from drftjax.physics.rig import FreeCarriage
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.trial import Trial
@@ -34,6 +35,9 @@ LET_GO = 0.2
 
 # By channel, the one whose motion it is beside, and the mass that moves.
 BESIDE = {"fx": ("x", "mass_x"), "fz": ("z", "mass_z")}
+
+# Outputs of a simulation that its forces are taken beside, in the order of those.
+SPEEDS = ("vx", "vz")
 
 
 def holds_carriage(blocks: Sequence[tuple[str, str]]) -> list[bool]:
@@ -114,8 +118,8 @@ class CarriageHold:
         weight /= weight.sum()
 
         def average(rows: np.ndarray) -> np.ndarray:
-            rows = _between(self.time, even, rows)
-            return correlate1d(rows, weight, axis=0, mode="nearest")
+            evenly = rows_at(self.time, rows, even)
+            return correlate1d(evenly, weight, axis=0, mode="nearest")
 
         whole = average(force)
         if motion is not None:
@@ -123,17 +127,7 @@ class CarriageHold:
             whole = whole - mass * np.gradient(speed, interval, axis=0)
         # Near its ends a run has no whole average: the next one stands for it.
         inner = np.clip(np.arange(len(even)), edge, len(even) - 1 - edge)
-        return _between(even, self.time, whole[inner])
-
-
-def _between(time: np.ndarray, wanted: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Rows at other times, linearly between those that there are, shape (wanted, ...)."""
-    if len(time) == len(wanted) and np.allclose(time, wanted, rtol=0, atol=1e-9):
-        return rows
-    place = np.clip(np.searchsorted(time, wanted, side="right") - 1, 0, len(time) - 2)
-    share = np.clip((wanted - time[place]) / (time[place + 1] - time[place]), 0, 1)
-    share = share.reshape(-1, *[1] * (rows.ndim - 1))
-    return rows[place] * (1 - share) + rows[place + 1] * share
+        return rows_at(even, whole[inner], self.time)
 
 
 def holding_forces(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
@@ -142,18 +136,21 @@ def holding_forces(table: Array, channels: tuple[str, ...], trial: Trial) -> Arr
     A step's force is that of its change of speed, so that what is left is what holds the carriage.
 
     Args:
-        table: Channels, then the speeds along x and z, shape (channels + 2, rows).
-        channels: Their names.
+        table: Channels, then `SPEEDS` [m, N, N m, m/s], shape (channels + 2, rows).
+        channels: Their names, without the speeds.
         trial: The run.
+
+    Returns:
+        Shape (channels, rows).
     """
     rig, interval = trial.simulator.rig, trial.every * trial.step
     rows = table[: len(channels)]
     if not isinstance(rig.carriage, FreeCarriage):
         return rows
-    for force, mass, speed in zip(("fx", "fz"), (rig.mass_x, rig.mass_z), table[-2:], strict=True):
+    for (force, (_, mass)), speed in zip(BESIDE.items(), table[-2:], strict=True):
         if force in channels:
             place = channels.index(force)
-            held = rows[place, 1:] - mass * jnp.diff(speed) / interval
+            held = rows[place, 1:] - getattr(rig, mass) * jnp.diff(speed) / interval
             first = jnp.ceil(LET_GO / interval).astype(int)
             taken = jnp.maximum(jnp.arange(rows.shape[1]) - 1, first)
             rows = rows.at[place].set(held[taken])

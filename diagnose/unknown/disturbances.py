@@ -29,6 +29,7 @@ from diagnose.localization.settings import DEFAULT_LOCALIZATION, LocalizationSet
 from diagnose.localization.shares import GapShare, bootstrap_counts, interval_of
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.model.carriage_hold import CarriageHold
+from diagnose.model.interpolation import rows_at
 from diagnose.model.linearized_run import FORCES, MOTION
 from diagnose.model.unknown_inputs import INPUTS
 from diagnose.run_pool import RunPool
@@ -271,14 +272,9 @@ class _SlowPart:
 
     def of_nodes(self, response: np.ndarray) -> list[np.ndarray]:
         """By channel, of readings at nodes, shape (nodes, 5, columns)."""
-        place = np.clip(np.searchsorted(self.nodes, self.time) - 1, 0, len(self.nodes) - 2)
-        share = (self.time - self.nodes[place]) / (self.nodes[place + 1] - self.nodes[place])
-        share = np.clip(share, 0, 1)[:, None]
-        found = []
-        for channel in self.channels:
-            rows = response[:, READINGS.index(channel)]
-            found.append(rows[place] * (1 - share) + rows[place + 1] * share)
-        return self.of_readings(found)
+        picked = response[:, [READINGS.index(channel) for channel in self.channels]]
+        at_samples = rows_at(self.nodes, picked, self.time)
+        return self.of_readings(list(np.moveaxis(at_samples, 1, 0)))
 
     def of_readings(self, values: Sequence[np.ndarray]) -> list[np.ndarray]:
         """By channel, of readings at samples, shape (samples, columns) each."""
