@@ -43,7 +43,13 @@ from diagnose.measured_gap import MeasuredGap, ReferenceRuns
 from diagnose.next_runs.discrimination import next_run
 from diagnose.result import Diagnosis, parameter_estimates
 from diagnose.run_pool import RunPool
-from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
+from diagnose.selection.model_weights import (
+    NONE,
+    UNKNOWN,
+    LeftByRun,
+    ScoredHypothesis,
+    weights,
+)
 from diagnose.selection.verdict import (
     believing_listed,
     competing_hypotheses,
@@ -225,7 +231,9 @@ class _Diagnosing:
         """The hypotheses that are weighed."""
         limits = self.settings.held_out.of_sizes(found.by_size)
         ranked = zip(found.by_size, limits, strict=True)
-        return [each for several, count in ranked for each in top_ranked(several, count)]
+        first = [each for several, count in ranked for each in top_ranked(several, count)]
+        # One by which the runs cannot be simulated explains nothing.
+        return [each for each in first if each.is_simulated]
 
     def weigh(
         self,
@@ -334,28 +342,34 @@ class _Diagnosing:
         """Weights of the reference model, the leading hypotheses and unknown."""
         regressors, none = found.regressors, found.none
 
-        def power(residual: list[np.ndarray]) -> np.ndarray:
+        def left(residual: list[np.ndarray], log_zeta: np.ndarray) -> LeftByRun:
             left = beside_plates(self.dataset, residual, finer, self.settings.discretization)
-            return regressors.block_mean_squares(left, self.pool)[0]
+            power = regressors.block_powers(left, self.pool)
+            return LeftByRun(power, log_zeta + regressors.log_reference_zeta)
 
-        of_none = power(none.residual)
-        scored = [ScoredHypothesis.of(none, of_none, of_none, none.fit.zeta_variance)]
+        scored = [ScoredHypothesis((), 0, left(none.residual, none.log_zeta))]
         for each in leading:
             predicted = held_out[each.names]
-            zetas = predicted.log_zeta + regressors.log_reference_zeta
-            spread = float(np.var(zetas, ddof=1)) if len(zetas) > 1 else 0.0
-            fitted = power(each.residual) if each.is_simulated else each.fit.mean_square
-            held = power(predicted.residual)
-            scored.append(ScoredHypothesis.of(each, held, fitted, spread))
+            scored.append(
+                ScoredHypothesis(
+                    each.names,
+                    len(each.coordinates),
+                    left(each.residual, each.log_zeta),
+                    left(predicted.residual, predicted.log_zeta),
+                    predicted.conditions,
+                )
+            )
         matrices, residuals = regressors.gram_matrices, [e.residual for e in (none, *leading)]
         by_repeats = repeat_variance(regressors.dataset, residuals, none.by_zeta)
-        by_plates = regressors.noise_power + power(of_positions(self.dataset, finer))
+        of_plates = regressors.block_powers(of_positions(self.dataset, finer), self.pool).sum(
+            axis=0
+        )
+        by_plates = regressors.noise_power + of_plates
         return weights(
             scored,
             matrices.blocks,
             matrices.sample_count.sum(axis=0),
             regressors.noise_power,
-            len(matrices.log_zeta),
             self.settings.weights,
             np.maximum(by_repeats, by_plates),
             regressors.settings,

@@ -14,7 +14,7 @@ import numpy as np
 from diagnose.dataset import RigDataset
 from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.refinement import changes_without
+from diagnose.hypotheses.refinement import HeldOutCondition, without_conditions
 from diagnose.linear.linear_fit import GramMatrices, LinearFitSettings, fit_linear
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
@@ -32,6 +32,7 @@ class HeldOutPrediction:
         log_zeta: Each run's own log zeta over its set-up's [-], shape (runs,).
         coordinates: The effects' free numbers without each run's condition, shape (runs, numbers).
         residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
+        conditions: Those that were held out.
     """
 
     dataset: RigDataset
@@ -39,6 +40,7 @@ class HeldOutPrediction:
     log_zeta: np.ndarray
     coordinates: np.ndarray
     residual: list[np.ndarray]
+    conditions: tuple[HeldOutCondition, ...] = ()
 
 
 def predict_held_out(
@@ -62,22 +64,19 @@ def predict_held_out(
     """
     log_zeta = np.array(hypothesis.log_zeta)
     coordinates = np.tile(hypothesis.coordinates, (len(log_zeta), 1))
-    dataset, every = regressors.dataset, np.arange(len(log_zeta))
+    dataset = regressors.dataset
     if len(hypothesis.coordinates) == 0:
         return HeldOutPrediction(dataset, hypothesis, log_zeta, coordinates, hypothesis.residual)
     products = regressors.gram_matrices_of(
         hypothesis.columns, hypothesis.residual, hypothesis.log_zeta, pool
     )
-    groups = [(g, np.setdiff1d(every, g)) for g in group_by_condition(dataset.runs)]
-    groups = [(group, others) for group, others in groups if others.size]
-    kept = [others for _, others in groups]
-    moves = changes_without(hypothesis, products, kept, regressors.settings)
-    held_out: set[int] = set()
-    for (group, _), move in zip(groups, moves, strict=True):
-        for run in group:
-            log_zeta[run] += _own_zeta_step(products, run, move, regressors.settings)
-            coordinates[run] += move
-        held_out.update(group)
+    groups = [g for g in group_by_condition(dataset.runs) if len(g) < len(log_zeta)]
+    conditions = without_conditions(hypothesis, products, groups, regressors.settings)
+    for each in conditions:
+        for run in each.runs:
+            log_zeta[run] += _own_zeta_step(products, run, each.change, regressors.settings)
+            coordinates[run] += each.change
+    held_out = {run for each in conditions for run in each.runs}
 
     def residual_of(run: int) -> np.ndarray:
         if run not in held_out:
@@ -86,7 +85,9 @@ def predict_held_out(
         return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
 
     residual = dataset.map(pool, residual_of)
-    return HeldOutPrediction(dataset, hypothesis, log_zeta, coordinates, residual)
+    return HeldOutPrediction(
+        dataset, hypothesis, log_zeta, coordinates, residual, tuple(conditions)
+    )
 
 
 def at_mean_sinkage(

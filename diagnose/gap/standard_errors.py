@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.hypotheses.hypothesis import Hypothesis, gaussian_prior
+from diagnose.linear.information import information_on
 from diagnose.linear.linear_fit import worth_by_block
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
@@ -32,12 +33,10 @@ def standard_errors(
     pool: RunPool,
     settings: StandardErrorSettings = DEFAULT_STANDARD_ERROR,
 ) -> np.ndarray:
-    r"""Standard error of each coordinate of a hypothesis, shape (free,).
+    """Standard error of each coordinate of a hypothesis, shape (free,).
 
-    The square root of the diagonal of the inverse of the information on (coordinates, each run's
-    log zeta): products of their columns, where block b weighs $w_b/(s_b + \sigma_b^2)$, the
-    precision of the coordinates' prior, which bounds the error of a number that the runs do not
-    determine, and what the bed says of the zetas.
+    Of the information that the runs give on them, whatever each run's own log zeta is
+    (`diagnose.linear.information`).
 
     Args:
         regressors: The runs.
@@ -46,21 +45,10 @@ def standard_errors(
         settings: Independent statements.
     """
     matrices = regressors.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta, pool)
-    weights = regressors.settings
-    floor = weights.model_errors(matrices.blocks) ** 2
-    weight = worth_by_block(matrices.blocks, settings.slow_worth, settings.fast_worth)
-    weight = weight / (chosen.fit.mean_square + floor)
-    gram = np.einsum("b,rbij->rij", weight, matrices.gram[:, :, :-1, :-1])
-    width, _ = gaussian_prior(chosen.model, weights)
-    count, runs = len(width), len(gram)
-    information = np.zeros((count + runs, count + runs))
-    information[:count, :count] = np.diag(1 / width**2) + gram[:, 1:, 1:].sum(axis=0)
-    information[:count, count:] = gram[:, 1:, 0].T
-    information[count:, :count] = gram[:, 1:, 0]
-    hold = weights.bed.hold(chosen.fit.zeta_variance, runs - 1)
-    own = np.diag(np.maximum(gram[:, 0, 0], 1e-300))
-    information[count:, count:] = own + hold * (np.eye(runs) - 1 / runs)
-    return np.sqrt(np.diag(np.linalg.inv(information))[:count])
+    worth = worth_by_block(matrices.blocks, settings.slow_worth, settings.fast_worth)
+    width, _ = gaussian_prior(chosen.model, regressors.settings)
+    information = information_on(matrices, chosen.fit, width, worth, regressors.settings)
+    return np.sqrt(np.diag(np.linalg.inv(information)))
 
 
 def relative_strength_errors(chosen: Hypothesis, errors: np.ndarray) -> dict[str, float]:

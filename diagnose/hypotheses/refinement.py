@@ -22,6 +22,7 @@ from diagnose.hypotheses.hypothesis import (
     gaussian_prior,
     least_changes,
 )
+from diagnose.linear.information import information_on
 from diagnose.linear.linear_fit import (
     DEFAULT_LINEAR_FIT,
     GramMatrices,
@@ -159,38 +160,74 @@ def gauss_newton_step(
     return _shortened(here, fit.log_zeta_change, fit.coefficients, settings)
 
 
-def changes_without(
+@dataclass(frozen=True, eq=False)
+class HeldOutCondition:
+    """A condition, and a hypothesis's numbers by the runs of the others.
+
+    Attributes:
+        runs: Numbers of its runs.
+        change: Of the coordinates that were fitted to all runs, shape (free,).
+        cost: Log probability that it costs the others to take those of all runs instead [-].
+    """
+
+    runs: tuple[int, ...]
+    change: np.ndarray
+    cost: float
+
+
+def without_conditions(
     here: Hypothesis,
     matrices: GramMatrices,
-    kept: Sequence[np.ndarray],
+    conditions: Sequence[Sequence[int]],
     settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
-) -> list[np.ndarray]:
-    """Changes of a hypothesis's coordinates where only some of its runs count.
+) -> list[HeldOutCondition]:
+    r"""A hypothesis's numbers with each condition left out.
 
-    What linear fits to these and to all runs propose differently: a step that both propose was
-    not worth making, and says nothing of the runs left out. Where nothing was simulated, no step
-    was made yet, and that of the runs that count is all there is.
+    Their change is what linear fits to the others and to all runs propose differently: a step that
+    both propose was not worth making, and says nothing of the runs left out. Where nothing was
+    simulated, no step was made yet, and that of the others is all there is.
+
+    Runs that hardly determine a number change it far, and yet say little against the value that all
+    runs give it. With the information $A$ of the others, and $A_+$ of all runs, were these missed
+    as the others are, a change $\delta$ costs $\tfrac12 (\delta^T A \delta + \ln|A_+| - \ln|A|)$.
+    By so much the evidence of the runs left out is less than that of the fit to them (Laplace's
+    approximation).
 
     Args:
         here: The hypothesis, fitted to all runs.
         matrices: Gram matrices of its columns and residuals.
-        kept: Numbers of the runs that count, for each change.
+        conditions: Numbers of the runs of each; some runs have another.
         settings: Weights of the fit, and the longest step.
-
-    Returns:
-        For each of `kept`, in the coordinates' units, shape (free,).
     """
-    some = [matrices.of_runs(runs) for runs in kept]
-    if not here.is_simulated:
-        return [gauss_newton_step(here, each, settings=settings)[1] for each in some]
     every = _fit_about(here, matrices, 1.0, settings)
     found = []
-    for runs, each in zip(kept, some, strict=True):
-        fit = _fit_about(here, each, 1.0, settings)
-        zeta = fit.log_zeta_change - every.log_zeta_change[runs]
+    for runs in conditions:
+        kept = np.setdiff1d(np.arange(len(here.log_zeta)), runs)
+        others = matrices.of_runs(kept)
+        if not here.is_simulated:
+            change = gauss_newton_step(here, others, settings=settings)[1]
+            found.append(HeldOutCondition(tuple(runs), change, np.inf))
+            continue
+        fit = _fit_about(here, others, 1.0, settings)
+        zeta = fit.log_zeta_change - every.log_zeta_change[kept]
         change = _shortened(here, zeta, fit.coefficients - every.coefficients, settings)[1]
-        found.append(np.maximum(change, least_changes(here)))
+        change = np.maximum(change, least_changes(here))
+        known, more = (_information(here, each, fit, settings) for each in (others, matrices))
+        cost = 0.5 * (float(change @ known @ change) + _log_det(more) - _log_det(known))
+        found.append(HeldOutCondition(tuple(runs), change, cost))
     return found
+
+
+def _log_det(matrix: np.ndarray) -> float:
+    return float(np.linalg.slogdet(matrix)[1])
+
+
+def _information(
+    here: Hypothesis, matrices: GramMatrices, fit: LinearFit, settings: LinearFitSettings
+) -> np.ndarray:
+    """What some runs say of a hypothesis's coordinates, shape (free, free)."""
+    width, _ = gaussian_prior(here.model, settings)
+    return information_on(matrices, fit, width, settings.worth(matrices.blocks), settings)
 
 
 def _shortened(
@@ -299,8 +336,9 @@ def simulated_fit(
 ) -> LinearFit:
     """Score of simulated residuals, in the place of a linear fit's."""
     moved = log_zeta + regressors.log_reference_zeta
-    mean_square, count = regressors.block_mean_squares(residual, pool)
+    mean_square = regressors.block_powers(residual, pool).sum(axis=0)
     variance = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
-    blocks, runs = regressors.gram_matrices.blocks, len(moved)
-    score = log_score(blocks, count, mean_square, variance, runs, settings=regressors.settings)
+    matrices, runs, settings = regressors.gram_matrices, len(moved), regressors.settings
+    count = matrices.sample_count.sum(axis=0)
+    score = log_score(matrices.blocks, count, mean_square, variance, runs, settings=settings)
     return LinearFit(score, coordinates, log_zeta - before.log_zeta, mean_square, variance)

@@ -252,10 +252,8 @@ class Regressors:
 
         return _gram_matrices(dataset, dataset.map(pool, of), log_zeta)
 
-    def block_mean_squares(
-        self, residual: list[np.ndarray], pool: RunPool
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Mean square of residuals in each block, and the number of values in each.
+    def block_powers(self, residual: list[np.ndarray], pool: RunPool) -> np.ndarray:
+        """What each run adds to the mean square of residuals in each block, shape (runs, blocks).
 
         Args:
             residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
@@ -263,8 +261,7 @@ class Regressors:
         """
         nothing = [np.zeros((*each.shape, 0)) for each in residual]
         matrices = self.gram_matrices_of(nothing, residual, np.zeros(len(residual)), pool)
-        count = matrices.sample_count.sum(axis=0)
-        return matrices.gram[:, :, -1, -1].sum(axis=0) / np.maximum(count, 1), count
+        return matrices.gram[:, :, -1, -1] / np.maximum(matrices.sample_count.sum(axis=0), 1)
 
 
 def _log_reference_zeta(dataset: RigDataset) -> np.ndarray:

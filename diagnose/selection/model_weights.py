@@ -12,12 +12,15 @@ $(c\,\sigma_b)^2$, what repeats differ by beyond noise or finer plates change in
 share $\epsilon^2$ of what the reference model leaves beyond all these (likewise of V beyond the
 bed's scatter). The log weight is
 
-$$\ln W_h = u\,E(s^{\mathrm{held\,out}}_h, V^{\mathrm{held\,out}}_h)
+$$\ln W_h = u\,\max_C \Big(E(s^{C}_h, V^{C}_h) - \sum_{c \in C} d_c\Big)
   + (1 - u)\,E(s^{\mathrm{fitted}}_h, V_h) - \kappa k_h + \ln \pi_h,$$
 
-on runs that h was not fitted to and on those it was. Prediction alone would condemn a right effect
-where the one run that shows it best is the one left out, as the others know little of its numbers;
-the fit alone would reward what bends to every run.
+on runs that h was not fitted to and on those it was. The fit alone would reward what bends to every
+run. Prediction alone would condemn a right effect where the one condition that shows it best is
+left out, as the others know little of its numbers. So a condition counts by its prediction, or, in
+the set C, by the fit to all runs, at the log probability $d_c$ that it costs the others to take the
+numbers of all runs (`diagnose.hypotheses.refinement.without_conditions`): little where they hardly
+know better, and much where they do.
 
 `unknown` is a mechanism outside the catalogue, beside any hypothesis: it is taken to leave a share
 $\rho$ (in amplitude) of what the hypothesis leaves beyond noise and $a_b$, with three free numbers.
@@ -36,12 +39,12 @@ which they have not been chosen again. Of `formula_error_share` the sets say lit
 and 0.1; a share that pardons a second effect is too large.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.hypotheses.refinement import HeldOutCondition
 from diagnose.linear.linear_fit import (
     DEFAULT_LINEAR_FIT,
     Block,
@@ -102,40 +105,76 @@ class WeightSettings:
 DEFAULT_WEIGHTS = WeightSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class LeftByRun:
+    """What a hypothesis leaves of some runs.
+
+    Attributes:
+        power: What each run adds to the mean square of each block, shape (runs, blocks), in the
+            block's unit squared.
+        log_zeta: Of each run, over one reference for all [-], shape (runs,).
+    """
+
+    power: np.ndarray
+    log_zeta: np.ndarray
+
+    @property
+    def mean_square(self) -> np.ndarray:
+        """Of each block, shape (blocks,)."""
+        return self.power.sum(axis=0)
+
+    @property
+    def zeta_variance(self) -> float:
+        """Variance of log zeta over the runs [-]."""
+        return float(np.var(self.log_zeta, ddof=1)) if len(self.log_zeta) > 1 else 0.0
+
+    def with_runs_of(self, other: "LeftByRun", runs: Sequence[int]) -> "LeftByRun":
+        """The same with some runs as another has them."""
+        power, log_zeta = self.power.copy(), self.log_zeta.copy()
+        power[list(runs)] = other.power[list(runs)]
+        log_zeta[list(runs)] = other.log_zeta[list(runs)]
+        return LeftByRun(power, log_zeta)
+
+
+@dataclass(frozen=True, eq=False)
 class ScoredHypothesis:
     """The numbers of a hypothesis that its weight depends on.
 
     Attributes:
         names: Its effects; none for the reference model.
-        held_out_power: Mean square left in each block on runs it was not fitted to, shape
-            (blocks,), in the block's unit squared.
-        fitted_power: The same on the runs it was fitted to.
-        zeta_variance: Variance of log zeta over the runs [-].
         parameter_count: Number of its free numbers.
-        held_out_zeta_variance: The same with each run's zeta at the numbers of the other conditions
-            [-].
+        fitted: What it leaves of the runs that it was fitted to.
+        held_out: The same with each run's numbers from the other conditions; as fitted where left
+            out.
+        conditions: Those that were held out.
     """
 
     names: tuple[str, ...]
-    held_out_power: np.ndarray
-    fitted_power: np.ndarray
-    zeta_variance: float
     parameter_count: int
-    held_out_zeta_variance: float
+    fitted: LeftByRun
+    held_out: LeftByRun | None = None
+    conditions: Sequence[HeldOutCondition] = ()
 
-    @classmethod
-    def of(
-        cls,
-        each: Hypothesis,
-        held_out_power: np.ndarray,
-        fitted_power: np.ndarray,
-        held_out_zeta_variance: float,
-    ) -> "ScoredHypothesis":
-        """The numbers of a hypothesis that was fitted; for the rest see the attributes."""
-        zeta_variance, count = each.fit.zeta_variance, len(each.coordinates)
-        powers = held_out_power, fitted_power
-        return cls(each.names, *powers, zeta_variance, count, held_out_zeta_variance)
+    def held_out_evidence(self, evidence: Callable[[LeftByRun], float]) -> float:
+        """Log evidence of the runs held out, each condition as it counts for most.
+
+        From the prediction of all conditions on, that one is taken as it was fitted, at its cost,
+        which gains most, until none gains.
+
+        Args:
+            evidence: Log evidence of what is left of all runs.
+        """
+        here, conditions, paid = self.held_out or self.fitted, list(self.conditions), 0.0
+        while conditions:
+            others = [here.with_runs_of(self.fitted, each.runs) for each in conditions]
+            gains = [
+                evidence(other) - each.cost for other, each in zip(others, conditions, strict=True)
+            ]
+            best = int(np.argmax(gains))
+            if not gains[best] > evidence(here):
+                break
+            here, paid = others[best], paid + conditions.pop(best).cost
+        return evidence(here) - paid
 
 
 def log_weights(
@@ -143,7 +182,6 @@ def log_weights(
     blocks: Sequence[Block],
     sample_count: np.ndarray,
     noise_power: np.ndarray,
-    runs: int,
     settings: WeightSettings = DEFAULT_WEIGHTS,
     repeat_power: np.ndarray | float = 0.0,
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
@@ -158,7 +196,6 @@ def log_weights(
         blocks: (channel, kind) of each block.
         sample_count: Values in each block, shape (blocks,).
         noise_power: Mean square of the instruments' white noise in each block, shape (blocks,).
-        runs: Number of runs.
         settings: Numbers of the weights.
         repeat_power: Mean square of what repeats differ by in each block, or finer plates with
             noise. What of it is beyond noise and a model's own error is neither held against a
@@ -178,29 +215,28 @@ def log_weights(
     def beyond_scatter(variance: float) -> float:
         return max(variance - bed.scatter**2, 0.0)
 
-    reference = scored[0]
-    allowed = floor + by_chance + free * beyond(reference.held_out_power)
+    reference = scored[0].fitted
+    allowed = floor + by_chance + free * beyond(reference.mean_square)
     pardoned = free * beyond_scatter(reference.zeta_variance)
     worth = sample_count * settings.worth(blocks)
     taken = 1 - settings.unknown_residual_share**2
     open_to_unknown = np.array([not each for each in holds_carriage(blocks)], float)
 
-    def evidence(power: np.ndarray, variance: float, explained: float = 0.0) -> float:
-        left = power - explained * open_to_unknown * beyond(power)
-        scatter = variance - explained * beyond_scatter(variance)
-        of_samples = -0.5 * float((worth * np.log(left + allowed)).sum())
-        return of_samples + bed.evidence(scatter, runs - 1, pardoned)
-
     def both(each: ScoredHypothesis, explained: float = 0.0) -> float:
-        held_out = evidence(each.held_out_power, each.held_out_zeta_variance, explained)
-        fitted = evidence(each.fitted_power, each.zeta_variance, explained)
-        u = settings.held_out_share
-        return u * held_out + (1 - u) * fitted - settings.parameter_cost * each.parameter_count
+        def evidence(runs: LeftByRun) -> float:
+            power, variance = runs.mean_square, runs.zeta_variance
+            left = power - explained * open_to_unknown * beyond(power)
+            scatter = variance - explained * beyond_scatter(variance)
+            of_samples = -0.5 * float((worth * np.log(left + allowed)).sum())
+            return of_samples + bed.evidence(scatter, len(runs.log_zeta) - 1, pardoned)
+
+        u, cost = settings.held_out_share, settings.parameter_cost * each.parameter_count
+        return u * each.held_out_evidence(evidence) + (1 - u) * evidence(each.fitted) - cost
 
     count = [len(each.names) for each in scored]
     alone = [both(each) + settings.log_prior(k) for each, k in zip(scored, count, strict=True)]
     own = settings.log_prior_unknown - settings.parameter_cost * settings.unknown_parameters
-    unknown = both(reference, taken) + own
+    unknown = both(scored[0], taken) + own
     odds = [
         min(both(each, taken) + own + settings.log_prior(k) - of, settings.max_remainder_odds)
         for each, k, of in zip(scored[1:], count[1:], alone[1:], strict=True)
@@ -215,7 +251,6 @@ def weights(
     blocks: Sequence[Block],
     sample_count: np.ndarray,
     noise_power: np.ndarray,
-    runs: int,
     settings: WeightSettings = DEFAULT_WEIGHTS,
     repeat_power: np.ndarray | float = 0.0,
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT,
@@ -227,7 +262,7 @@ def weights(
     Arguments as for `log_weights`.
     """
     alone, beside = log_weights(
-        scored, blocks, sample_count, noise_power, runs, settings, repeat_power, linear_fit
+        scored, blocks, sample_count, noise_power, settings, repeat_power, linear_fit
     )
     logs = np.r_[alone, beside]
     share = np.exp(logs - logs.max())

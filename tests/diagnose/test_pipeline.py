@@ -12,7 +12,7 @@ from diagnose.gap.gap import Gap, gaps, shrinkage
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
-from diagnose.hypotheses.refinement import refine, relinearize
+from diagnose.hypotheses.refinement import HeldOutCondition, refine, relinearize
 from diagnose.hypotheses.set_candidates import set_candidates
 from diagnose.hypotheses.set_screening import refine_sets
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
@@ -24,6 +24,7 @@ from diagnose.report.text import step_sentences
 from diagnose.selection.model_weights import (
     NONE,
     UNKNOWN,
+    LeftByRun,
     ScoredHypothesis,
     WeightSettings,
     weights,
@@ -265,6 +266,11 @@ def test_shrinkage_counts_from_the_floor():
     assert shrinkage(0.1, 0.1, 0.1) == 0.0
 
 
+def left(*powers: float) -> LeftByRun:
+    """What is left of as many runs in one block, with one zeta [m^2]."""
+    return LeftByRun(np.array(powers)[:, None], np.zeros(len(powers)))
+
+
 def test_weights_follow_what_is_left():
     blocks = (("z", "slow"),)
     settings = WeightSettings(
@@ -277,12 +283,11 @@ def test_weights_follow_what_is_left():
     )
 
     def ratio(unseen: float, fitted: float) -> float:
-        gap = np.array([4e-8])
-        drawbar = ScoredHypothesis(
-            ("drawbar",), np.array([unseen]), np.array([fitted]), 0.0, 1, 0.0
-        )
-        judged = [ScoredHypothesis((), gap, gap, 0.0, 0, 0.0), drawbar]
-        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), 1, settings)
+        judged = [
+            ScoredHypothesis((), 0, left(4e-8)),
+            ScoredHypothesis(("drawbar",), 1, left(fitted), left(unseen)),
+        ]
+        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), settings)
         return found[("drawbar",)] / found[("none",)]
 
     # Half of a worth of 2 by the logarithm of a quarter: four to one.
@@ -294,16 +299,16 @@ def test_weights_follow_what_is_left():
 def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
     """Half a gap explained is no more credible for what something unknown does with the rest."""
     blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
-    gap = np.array([1e-6])
 
-    def of(left: float, odds: float) -> dict:
-        each = np.array([left])
-        drawbar = ScoredHypothesis(("drawbar",), each, each, 0.0, 1, 0.0)
-        judged = [ScoredHypothesis((), gap, gap, 0.0, 0, 0.0), drawbar]
-        return weights(judged, blocks, count, noise, 1, WeightSettings(max_remainder_odds=odds))
+    def of(remaining: float, odds: float) -> dict:
+        judged = [
+            ScoredHypothesis((), 0, left(1e-6)),
+            ScoredHypothesis(("drawbar",), 1, left(remaining)),
+        ]
+        return weights(judged, blocks, count, noise, WeightSettings(max_remainder_odds=odds))
 
-    for left in (2.5e-7, 1e-8, 4e-10):
-        none, most = of(left, -50.0), of(left, 3.0)
+    for remaining in (2.5e-7, 1e-8, 4e-10):
+        none, most = of(remaining, -50.0), of(remaining, 3.0)
         both = most[("drawbar",)] + most[("drawbar", UNKNOWN)]
         assert both == pytest.approx(none[("drawbar",)], rel=1e-9, abs=1e-12)
     # Half of a gap: what is left is sure to be there, and the effect is not believed.
@@ -313,6 +318,32 @@ def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
     # All of it: no remainder.
     whole = of(4e-10, 3.0)
     assert whole[("drawbar",)] > 0.9
+
+
+@pytest.mark.parametrize(("cost", "counts_as_fitted"), [(2.0, True), (200.0, False)])
+def test_a_condition_counts_as_fitted_where_the_others_know_little_of_the_numbers(
+    cost, counts_as_fitted
+):
+    """Three runs, of which one alone tells the numbers: the others miss it by a hundred times."""
+    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
+    settings = WeightSettings(max_remainder_odds=-50.0)
+    conditions = [HeldOutCondition((run,), np.zeros(1), cost * (run == 2)) for run in range(3)]
+
+    def ratio(unseen: LeftByRun) -> float:
+        judged = [
+            ScoredHypothesis((), 0, left(1e-6, 1e-6, 1e-6)),
+            ScoredHypothesis(("drawbar",), 1, left(1e-10, 1e-10, 1e-10), unseen, conditions),
+        ]
+        found = weights(judged, blocks, count, noise, settings)
+        return found[("drawbar",)] / found[("none",)]
+
+    fit, missed = left(1e-10, 1e-10, 1e-10), left(1e-10, 1e-10, 1e-6)
+    as_fitted = ratio(fit)
+    if counts_as_fitted:
+        share = np.exp(-settings.held_out_share * cost)
+        assert ratio(missed) == pytest.approx(share * as_fitted, rel=1e-9)
+    else:
+        assert ratio(missed) < 0.1 * as_fitted
 
 
 def test_effects_explain_most_of_a_large_gap():

@@ -19,7 +19,13 @@ from diagnose.dataset import RigDataset
 from diagnose.gap.repeatability import repeat_variance, repeats
 from diagnose.linear.linear_fit import block_names
 from diagnose.localization.shares import GapShare
-from diagnose.selection.model_weights import NONE, UNKNOWN, ScoredHypothesis, weights
+from diagnose.selection.model_weights import (
+    NONE,
+    UNKNOWN,
+    LeftByRun,
+    ScoredHypothesis,
+    weights,
+)
 from tests.helpers.rig_datasets import dataset_with
 
 # Rounding of squares of misses of a millimetre.
@@ -91,13 +97,11 @@ def test_runs_that_begin_alike_repeat_each_other_whatever_comes_between(case):
 
 
 def test_what_repeats_differ_by_is_nothing_for_unknown_to_explain():
-    gap, number, noise = np.array([1e-6]), np.array([400.0]), np.array([1e-12])
-    judged = [ScoredHypothesis((), gap, gap, 0.0, 0, 0.0)]
+    number, noise = np.array([400.0]), np.array([1e-12])
+    judged = [ScoredHypothesis((), 0, LeftByRun(np.array([[1e-6]]), np.zeros(1)))]
 
     def of(by_chance: float) -> dict:
-        return weights(
-            judged, (("z", "slow"),), number, noise, 9, repeat_power=np.array([by_chance])
-        )
+        return weights(judged, (("z", "slow"),), number, noise, repeat_power=np.array([by_chance]))
 
     assert of(0.0)[(UNKNOWN,)] > SURE
     assert of(1e-12) == of(0.0)  # within noise and a model's own error
