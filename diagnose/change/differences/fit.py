@@ -6,7 +6,7 @@ is
 
 $$-\tfrac12 \sum_b w_b N_b \ln(s_b + e_b + \sigma_b^2) + \ln p(V_\zeta),$$
 
-with $w_b$ the independent statements in a value, $e_b$ the part of the responses that may be wrong
+with $w_b$ the independent statements in a value, $e_b$ the part of the response that may be wrong
 and $\sigma_b^2$ the mean square below which nothing is asked of a model. The last term is the
 evidence of the log zetas by the scatter of the bed (`diagnose.linear.bed`). $\zeta_i$ counts from a
 value that the condition's runs share, so the contrasts are the runs less the conditions. That value
@@ -18,6 +18,10 @@ How far a change moves x for a millimetre of z is a matter of the sand's law, wh
 model's. So all that a model changes, by $\theta$ or by zeta, is in each channel c but z times a
 factor $1 + \phi_c$, the same in all runs, with a Gaussian prior on $\phi_c$ that belongs to the
 score.
+
+What an effect changes and what another zeta makes up for take a run nowhere together. So $e_b$ is a
+share of the response to both: of an effect that zeta all but makes up for, such as the shadow of
+grousers, a share of its own response would drown the little that tells it.
 """
 
 from collections.abc import Sequence
@@ -99,7 +103,8 @@ def fit_differences(
             shape (runs,).
         centring: Takes the mean over each run's condition off, shape (runs, runs).
         prior: Of the coefficients.
-        error_share: Share of the columns' response that may be wrong [-].
+        error_share: Share of the response to columns and zetas that may be wrong [-]; none where no
+            column acts.
         settings: Numbers of the fit.
         changed: Number of the column that holds what the model has changed so far; where there is
             none, that is the response to `deviation`.
@@ -126,8 +131,8 @@ def fit_differences(
         factors = law.factors(weight, change)
         gram = law.with_factors(factors)
         mean_square = matrices.mean_square(gram, np.r_[change, 1.0])
-        alone = np.r_[change[:width], np.zeros(len(held) + 1 - width)]
-        response_error = error_share**2 * matrices.mean_square(gram, alone)
+        response = np.r_[change, 0.0] if width else np.zeros(len(held) + 1)
+        response_error = error_share**2 * matrices.mean_square(gram, response)
     return _scored(
         matrices, change[:width], change[-runs:], own, centring, mean_square, response_error,
         factors, law.power(change), settings,
