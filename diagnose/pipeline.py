@@ -415,7 +415,7 @@ class _Diagnosing:
             after,
             gap.floors,
             relative_strength_errors(weighed.chosen, errors),
-            prediction.hypothesis.names,
+            reported_names(prediction.hypothesis.names),
             self.pool,
             self.settings.budget,
         )

@@ -9,6 +9,7 @@ from diagnose.linear.information import information_on
 from diagnose.linear.linear_fit import worth_by_block
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
+from drftjax.effects.catalogue import reported_name
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def standard_errors(
 
 
 def relative_strength_errors(chosen: Hypothesis, errors: np.ndarray) -> dict[str, float]:
-    """By effect, the relative standard error of the strength that its runs tell best [-].
+    """By reported name, the relative standard error of the strength that the runs tell best [-].
 
     Args:
         chosen: The hypothesis.
@@ -62,6 +63,6 @@ def relative_strength_errors(chosen: Hypothesis, errors: np.ndarray) -> dict[str
     for free, at, error in zip(chosen.model.free, chosen.coordinates, errors, strict=True):
         if free.scale is None:
             continue
-        name = chosen.names[free.index]
+        name = reported_name(chosen.names[free.index])
         found[name] = min(found.get(name, np.inf), abs(error / at) if at else 1.0)
     return found

@@ -37,7 +37,7 @@ from diagnose.selection.verdict import (
     weight_by_name,
 )
 from diagnose.settings import DEFAULT_SETTINGS
-from drftjax.effects.drive import SpeedHarmonics, SpeedRipple
+from drftjax.effects.drive import SpeedGain, SpeedHarmonics, SpeedRipple
 from drftjax.effects.rig import Drawbar
 from drftjax.effects.sensor import SinkageGain, TravelGain
 from drftjax.effects.surface import SurfaceSlope
@@ -207,6 +207,19 @@ def test_an_effect_by_which_a_run_left_out_cannot_be_simulated_explains_nothing(
     found = diagnose(sloping, CATALOGUE, settings=WITHOUT_NEXT_RUN)
     assert "surface_slope" not in found.weights
     assert all(np.isfinite(gap.after) for gap in found.gap.values())
+
+
+def test_a_form_has_the_name_of_its_effect_wherever_it_is_reported():
+    no_pure_sine = {"cosine": 0.1, "sine": 0.0, "cosine2": 0.0, "sine2": 0.04, "order": 9.0}
+    dataset = dataset_with({"name": "speed_harmonics", **no_pure_sine})
+    offered = SpeedRipple, SpeedHarmonics, SpeedGain
+    found = diagnose(dataset, offered, settings=WITHOUT_NEXT_RUN)
+    assert found.chosen.names == ("speed_harmonics",)
+    assert found.verdict == ("speed_ripple",)
+    assert {*found.parameters} == {"speed_ripple"}
+    assert found.budget["x"].is_reducible
+    for channel in found.budget.values():
+        assert {*channel.effects} == {"speed_ripple"}
 
 
 def test_nothing_added_is_none():
