@@ -12,7 +12,7 @@ from diagnose.gap.gap import Gap, gaps, shrinkage
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
-from diagnose.hypotheses.refinement import HeldOutCondition, refine, relinearize
+from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.set_candidates import set_candidates
 from diagnose.hypotheses.set_screening import refine_sets
 from diagnose.linear.linear_fit import GramMatrices, fit_linear
@@ -21,19 +21,7 @@ from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import shared_model
 from diagnose.pipeline import _Diagnosing, _Weighed, diagnose
 from diagnose.report.text import step_sentences
-from diagnose.selection.model_weights import (
-    NONE,
-    UNKNOWN,
-    LeftByRun,
-    ScoredHypothesis,
-    WeightSettings,
-    weights,
-)
 from diagnose.selection.verdict import (
-    believing_listed,
-    competing_hypotheses,
-    decide,
-    explaining_candidates,
     weight_by_name,
 )
 from diagnose.settings import DEFAULT_SETTINGS
@@ -279,86 +267,6 @@ def test_shrinkage_counts_from_the_floor():
     assert shrinkage(0.1, 0.1, 0.1) == 0.0
 
 
-def left(*powers: float) -> LeftByRun:
-    """What is left of as many runs in one block, with one zeta [m^2]."""
-    return LeftByRun(np.array(powers)[:, None], np.zeros(len(powers)))
-
-
-def test_weights_follow_what_is_left():
-    blocks = (("z", "slow"),)
-    settings = WeightSettings(
-        log_prior_none=0.0,
-        parameter_cost=0.0,
-        model_error_factor=0.0,
-        formula_error_share=0.0,
-        slow_worth=2.0,
-        log_prior_unknown=-50.0,
-    )
-
-    def ratio(unseen: float, fitted: float) -> float:
-        judged = [
-            ScoredHypothesis((), 0, left(4e-8)),
-            ScoredHypothesis(("drawbar",), 1, left(fitted), left(unseen)),
-        ]
-        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), settings)
-        return found[("drawbar",)] / found[("none",)]
-
-    # Half of a worth of 2 by the logarithm of a quarter: four to one.
-    assert ratio(1e-8, 1e-8) == pytest.approx(4.0, rel=ROUNDING)
-    # Fitted to a quarter, predicted no better than nothing: the geometric mean of four and one.
-    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - settings.held_out_share), rel=ROUNDING)
-
-
-def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
-    """Half a gap explained is no more credible for what something unknown does with the rest."""
-    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
-
-    def of(remaining: float, odds: float) -> dict:
-        judged = [
-            ScoredHypothesis((), 0, left(1e-6)),
-            ScoredHypothesis(("drawbar",), 1, left(remaining)),
-        ]
-        return weights(judged, blocks, count, noise, WeightSettings(max_remainder_odds=odds))
-
-    for remaining in (2.5e-7, 1e-8, 4e-10):
-        none, most = of(remaining, -50.0), of(remaining, 3.0)
-        both = most[("drawbar",)] + most[("drawbar", UNKNOWN)]
-        assert both == pytest.approx(none[("drawbar",)], rel=1e-9, abs=1e-12)
-    # Half of a gap: what is left is sure to be there, and the effect is not believed.
-    half = of(2.5e-7, 3.0)
-    assert half[("drawbar", UNKNOWN)] > 10 * half[("drawbar",)]
-    assert half[(UNKNOWN,)] > 0.99
-    # All of it: no remainder.
-    whole = of(4e-10, 3.0)
-    assert whole[("drawbar",)] > 0.9
-
-
-@pytest.mark.parametrize(("cost", "counts_as_fitted"), [(2.0, True), (200.0, False)])
-def test_a_condition_counts_as_fitted_where_the_others_know_little_of_the_numbers(
-    cost, counts_as_fitted
-):
-    """Three runs, of which one alone tells the numbers: the others miss it by a hundred times."""
-    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
-    settings = WeightSettings(max_remainder_odds=-50.0)
-    conditions = [HeldOutCondition((run,), np.zeros(1), cost * (run == 2)) for run in range(3)]
-
-    def ratio(unseen: LeftByRun) -> float:
-        judged = [
-            ScoredHypothesis((), 0, left(1e-6, 1e-6, 1e-6)),
-            ScoredHypothesis(("drawbar",), 1, left(1e-10, 1e-10, 1e-10), unseen, conditions),
-        ]
-        found = weights(judged, blocks, count, noise, settings)
-        return found[("drawbar",)] / found[("none",)]
-
-    fit, missed = left(1e-10, 1e-10, 1e-10), left(1e-10, 1e-10, 1e-6)
-    as_fitted = ratio(fit)
-    if counts_as_fitted:
-        share = np.exp(-settings.held_out_share * cost)
-        assert ratio(missed) == pytest.approx(share * as_fitted, rel=1e-9)
-    else:
-        assert ratio(missed) < 0.1 * as_fitted
-
-
 def test_effects_explain_most_of_a_large_gap():
     def selected(*gaps: tuple[float, float]) -> SelectedEffects:
         found = {
@@ -391,51 +299,6 @@ def test_two_effects_may_explain_a_part_of_a_large_gap():
     assert not explains(2, (50.0, 5.0), (10.0, 6.0))  # z: under a half
     assert not explains(2, (4.0, 1.0), (4.0, 1.0))  # not large
     assert not explains(2, (50.0, 5.0), (1.0, 1.3))  # z gets worse
-
-
-def test_most_of_the_weight_of_unknown_goes_to_listed_sets_in_proportion():
-    share = {
-        ("none",): 0.0,
-        ("unknown",): 0.9,
-        ("drawbar",): 0.02,
-        ("drawbar", "unknown"): 0.04,
-        ("horizontal_coulomb",): 0.04,
-    }
-    for leaves_gap, unknown in ((False, 0.31), (True, 0.94)):
-        moved = believing_listed(share, ("drawbar",), leaves_gap)
-        assert sum(moved.values()) == pytest.approx(1.0)
-        assert decide(moved) == (("drawbar",), [["drawbar", "horizontal_coulomb"]])
-        # 0.06 and 0.04 of their own, and six and four tenths of 0.63.
-        assert weight_by_name(moved) == pytest.approx(
-            {"unknown": unknown, "drawbar": 0.438, "horizontal_coulomb": 0.292, "none": 0.0}
-        )
-
-
-def test_where_a_larger_set_explains_the_gap_smaller_ones_get_nothing_of_unknown():
-    share = {("unknown",): 0.9, ("backlash",): 0.08, ("backlash", "speed_gain"): 0.02}
-    moved = believing_listed(share, ("backlash", "speed_gain"), leaves_gap=False)
-    # 0.02 of its own, and all of 0.63.
-    assert moved[("backlash", "speed_gain")] == pytest.approx(0.65)
-    assert moved[("backlash",)] == 0.08
-    assert decide(moved)[0] == ("backlash", "speed_gain")
-    # Beside a gap of hundreds of floors all listed sets may weigh too little for a number.
-    lost = {("unknown",): 1.0, ("backlash",): 0.0, ("backlash", "speed_gain"): 0.0}
-    moved = believing_listed(lost, ("backlash", "speed_gain"), leaves_gap=True)
-    assert moved[("backlash", "speed_gain", "unknown")] == pytest.approx(0.7)
-
-
-def test_a_larger_set_may_explain_the_gap_unless_it_is_far_less_likely():
-    share = {
-        ("unknown",): 0.8,
-        ("a",): 0.08,
-        ("a", "b"): 0.01,
-        ("a", "c"): 0.005,
-        ("a", "c", "unknown"): 0.015,
-        ("a", "b", "c"): 1e-5,
-    }
-    assert explaining_candidates(share, ("a",)) == [("a",), ("a", "c")]
-    # None that is smaller than the likeliest.
-    assert explaining_candidates(share, ("a", "c")) == [("a", "c")]
 
 
 @pytest.mark.parametrize("explaining", [("a",), ("a", "b"), None])
@@ -488,57 +351,3 @@ def test_a_set_that_explains_a_part_is_named_beside_unknown(alone, left, named, 
         weight = weight_by_name(found.share)
         assert weight["b"] == pytest.approx(0.02 + 0.6 * 0.95)
         assert weight["unknown"] == pytest.approx(0.95)
-
-
-def test_effects_that_share_their_weight_speak_together():
-    share = {("none",): 0.02, ("unknown",): 0.4, ("drawbar",): 0.3, ("bulldozing",): 0.28}
-    assert decide(share) == (("drawbar",), [["drawbar", "bulldozing"]])
-    assert decide(share | {("unknown",): 0.6})[0] == ("unknown",)
-    assert decide({("none",): 1.0, ("unknown",): 0.0}) == (("none",), [["none"]])
-
-
-def test_without_a_gap_the_verdict_is_none_whatever_the_weights():
-    share = {("none",): 0.05, ("depth_hardening",): 0.7, ("cohesion",): 0.2, ("unknown",): 0.05}
-    assert decide(share)[0] == ("depth_hardening",)
-    named = [["none", "depth_hardening", "cohesion"]]
-    assert decide(share, has_gap=False) == (("none",), named)
-
-
-def test_none_stands_until_it_is_far_outweighed():
-    """An alarm takes more than being likelier: the rate of false ones is held down."""
-    faint = {("drawbar",): 0.35, ("none",): 0.3, ("backlash",): 0.2, ("unknown",): 0.15}
-    assert decide(faint) == (("none",), [["none", "drawbar", "backlash", "unknown"]])
-    plainer = faint | {("drawbar",): 0.6, ("none",): 0.1}
-    assert decide(plainer) == (("drawbar",), [["drawbar", "backlash"]])
-    assert decide({("none",): 0.2, ("unknown",): 0.8})[0] == ("none",)
-    assert decide({("none",): 0.1, ("unknown",): 0.8, ("drawbar",): 0.1})[0] == ("unknown",)
-
-
-def test_likenesses_of_a_second_effect_speak_together_for_it():
-    alone = {("backlash",): 0.4, ("loosening",): 0.05}
-    beside = {("backlash", "wheel_radius"): 0.3, ("backlash", "travel_gain"): 0.25}
-    expected = ("backlash", "wheel_radius"), [["backlash"], ["wheel_radius", "travel_gain"]]
-    assert decide(alone | beside) == expected
-    # They do not where one effect alone is believed more than all of them.
-    assert decide(alone | {("backlash", "travel_gain"): 0.3})[0] == ("backlash",)
-
-
-def test_a_run_is_to_tell_the_verdict_from_all_that_is_named_beside_it():
-    def rivals(**weights: float) -> list[tuple[str, ...]]:
-        share = {(name,): weight for name, weight in weights.items()}
-        effects = [each for each in share if each[0] not in (NONE, UNKNOWN)]
-        leading = [SimpleNamespace(names=each) for each in effects]
-        found = SimpleNamespace(none=SimpleNamespace(names=()))
-        told = competing_hypotheses(found, leading, share, max(share, key=lambda each: share[each]))  # pyright: ignore
-        return [each.names for each in told]
-
-    alike = {"measurement_delay": 0.4, "measurement_filter": 0.3, "speed_lag": 0.2}
-    rest = {"none": 0.0, "unknown": 0.1}
-    assert rivals(**alike, **rest) == [("measurement_filter",), ("speed_lag",)]
-    # The likeliest counts where it has little weight, too; one that all but none has does not.
-    assert rivals(drawbar=0.9, speed_lag=0.05, none=0.04, unknown=0.01) == [("speed_lag",)]
-    assert rivals(drawbar=0.99, speed_lag=0.01, none=0.0, unknown=0.0) == []
-    assert rivals(drawbar=0.5, none=0.5, unknown=0.0) == [()]
-    # Nothing is known of what is unknown, and another form of an effect needs no telling apart.
-    assert rivals(unknown=0.6, drawbar=0.4, none=0.0) == []
-    assert rivals(speed_ripple=0.6, speed_harmonics=0.4, none=0.0) == []

@@ -1,0 +1,96 @@
+"""Weights of sets of effects, by what they leave of the runs."""
+
+import numpy as np
+import pytest
+
+from diagnose.hypotheses.refinement import HeldOutCondition
+from diagnose.selection.model_weights import (
+    UNKNOWN,
+    LeftByRun,
+    ScoredHypothesis,
+    WeightSettings,
+    weights,
+)
+
+# Sums of a few doubles.
+ROUNDING = 1e-12
+
+
+def left(*powers: float) -> LeftByRun:
+    """What is left of as many runs in one block, with one zeta [m^2]."""
+    return LeftByRun(np.array(powers)[:, None], np.zeros(len(powers)))
+
+
+def test_weights_follow_what_is_left():
+    blocks = (("z", "slow"),)
+    settings = WeightSettings(
+        log_prior_none=0.0,
+        parameter_cost=0.0,
+        model_error_factor=0.0,
+        formula_error_share=0.0,
+        slow_worth=2.0,
+        log_prior_unknown=-50.0,
+    )
+
+    def ratio(unseen: float, fitted: float) -> float:
+        judged = [
+            ScoredHypothesis((), 0, left(4e-8)),
+            ScoredHypothesis(("drawbar",), 1, left(fitted), left(unseen)),
+        ]
+        found = weights(judged, blocks, np.array([1.0]), np.array([0.0]), settings)
+        return found[("drawbar",)] / found[("none",)]
+
+    # Half of a worth of 2 by the logarithm of a quarter: four to one.
+    assert ratio(1e-8, 1e-8) == pytest.approx(4.0, rel=ROUNDING)
+    # Fitted to a quarter, predicted no better than nothing: the geometric mean of four and one.
+    assert ratio(4e-8, 1e-8) == pytest.approx(4.0 ** (1 - settings.held_out_share), rel=ROUNDING)
+
+
+def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
+    """Half a gap explained is no more credible for what something unknown does with the rest."""
+    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
+
+    def of(remaining: float, odds: float) -> dict:
+        judged = [
+            ScoredHypothesis((), 0, left(1e-6)),
+            ScoredHypothesis(("drawbar",), 1, left(remaining)),
+        ]
+        return weights(judged, blocks, count, noise, WeightSettings(max_remainder_odds=odds))
+
+    for remaining in (2.5e-7, 1e-8, 4e-10):
+        none, most = of(remaining, -50.0), of(remaining, 3.0)
+        both = most[("drawbar",)] + most[("drawbar", UNKNOWN)]
+        assert both == pytest.approx(none[("drawbar",)], rel=1e-9, abs=1e-12)
+    # Half of a gap: what is left is sure to be there, and the effect is not believed.
+    half = of(2.5e-7, 3.0)
+    assert half[("drawbar", UNKNOWN)] > 10 * half[("drawbar",)]
+    assert half[(UNKNOWN,)] > 0.99
+    # All of it: no remainder.
+    whole = of(4e-10, 3.0)
+    assert whole[("drawbar",)] > 0.9
+
+
+@pytest.mark.parametrize(("cost", "counts_as_fitted"), [(2.0, True), (200.0, False)])
+def test_a_condition_counts_as_fitted_where_the_others_know_little_of_the_numbers(
+    cost, counts_as_fitted
+):
+    """Three runs, of which one alone tells the numbers: the others miss it by a hundred times."""
+    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
+    settings = WeightSettings(max_remainder_odds=-50.0)
+    conditions = [HeldOutCondition((run,), np.zeros(1), cost * (run == 2)) for run in range(3)]
+
+    def ratio(unseen: LeftByRun) -> float:
+        judged = [
+            ScoredHypothesis((), 0, left(1e-6, 1e-6, 1e-6)),
+            ScoredHypothesis(("drawbar",), 1, left(1e-10, 1e-10, 1e-10), unseen, conditions),
+        ]
+        found = weights(judged, blocks, count, noise, settings)
+        return found[("drawbar",)] / found[("none",)]
+
+    fit, missed = left(1e-10, 1e-10, 1e-10), left(1e-10, 1e-10, 1e-6)
+    as_fitted = ratio(fit)
+    if counts_as_fitted:
+        share = np.exp(-settings.held_out_share * cost)
+        assert ratio(missed) == pytest.approx(share * as_fitted, rel=1e-9)
+    else:
+        assert ratio(missed) < 0.1 * as_fitted
