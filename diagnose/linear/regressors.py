@@ -253,7 +253,7 @@ class Regressors:
         return _gram_matrices(dataset, dataset.map(pool, of), log_zeta)
 
     def block_powers(self, residual: list[np.ndarray], pool: RunPool) -> np.ndarray:
-        """What each run adds to the mean square of residuals in each block, shape (runs, blocks).
+        """Part of each run in the mean square of residuals in each block, shape (runs, blocks).
 
         Args:
             residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).

@@ -107,7 +107,7 @@ DEFAULT_WEIGHTS = WeightSettings()
 
 @dataclass(frozen=True, eq=False)
 class LeftByRun:
-    """What a hypothesis leaves of some runs.
+    """Residuals of some runs with a hypothesis, by their size.
 
     Attributes:
         power: What each run adds to the mean square of each block, shape (runs, blocks), in the
