@@ -23,7 +23,7 @@ from diagnose.hypotheses.hypothesis import (
     top_ranked,
 )
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, best_variants
-from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation
+from diagnose.linear.linear_fit import LinearFit, fit_linear, floor_inflation, log_score
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
@@ -133,7 +133,7 @@ def set_candidates(
 ) -> Iterator[SetCandidate]:
     """Sets that linear fits propose, the rankings taking turns; one may come more than once.
 
-    One ranking is by what each effect does alone, simulated: no linear fit is in it.
+    Two rankings are by what each effect does alone, simulated: no linear fit is in them.
 
     Arguments as for `refine_sets`.
     """
@@ -142,7 +142,7 @@ def set_candidates(
     by_base = [_leading_beside(regressors, each, miss, pool, rankings) for each in firsts]
     given = _exact_beside(regressors, firsts[0], by_base[0], pool)
     refined = [_with_refined(regressors, each, miss, singles, pool, settings) for each in firsts]
-    orders = [_by_what_each_does_alone(refined, singles)]
+    orders = _by_what_each_does_alone(regressors, refined, singles)
     for of_each in (
         refined,
         [
@@ -163,22 +163,40 @@ def taking_turns(orders: Sequence[Sequence[SetCandidate]]) -> Iterator[SetCandid
 
 
 def _by_what_each_does_alone(
-    refined: Sequence[Sequence[Sequence[SetCandidate]]], singles: Sequence[Hypothesis]
-) -> list[SetCandidate]:
-    """Sets of a base and a refined single, those with the best scores first.
+    regressors: Regressors,
+    refined: Sequence[Sequence[Sequence[SetCandidate]]],
+    singles: Sequence[Hypothesis],
+) -> list[list[SetCandidate]]:
+    """Sets of a base and a refined single, by two rankings.
+
+    One adds their scores. By the other each leaves what the better of the two does: in every block,
+    and of zeta's scatter. It leads to two effects that explain different things.
 
     Args:
+        regressors: The runs.
         refined: By base, by ranking.
         singles: Effects simulated alone.
     """
-    alone = {each.names: each.score for each in singles}
+    alone = {each.names: each for each in singles}
+    matrices, runs = regressors.gram_matrices, len(regressors.log_zeta)
+    blocks, count = matrices.blocks, matrices.sample_count.sum(axis=0)
 
-    def both(each: SetCandidate) -> float:
+    def parts(each: SetCandidate) -> tuple[Hypothesis, Hypothesis]:
         (added,) = each.names.difference(each.base.names)
-        return each.base.score + alone[added,]
+        return each.base, alone[added,]
+
+    def together(each: SetCandidate) -> float:
+        return sum(part.score for part in parts(each))
+
+    def best_of_both(each: SetCandidate) -> float:
+        base, added = (part.fit for part in parts(each))
+        left = np.minimum(base.mean_square, added.mean_square)
+        scatter = min(base.zeta_variance, added.zeta_variance)
+        return log_score(blocks, count, left, scatter, runs, settings=regressors.settings)
 
     # The last ranking takes the singles' changes of the runs at their word.
-    return sorted((each for by_share in refined for each in by_share[-1]), key=both, reverse=True)
+    every = [each for by_share in refined for each in by_share[-1]]
+    return [sorted(every, key=by, reverse=True) for by in (together, best_of_both)]
 
 
 def leading_bases(bases: Sequence[Hypothesis], settings: SetScreeningSettings) -> list[Hypothesis]:
