@@ -8,9 +8,9 @@ the floor) and chance (the floor) add up to the gap of the reference model.
 
 A set's residual is that of the whole model and the contributions of the effects that it lacks,
 $r(S) = r + \sum_{i \notin S} c_i$. $c_i$ is the mean of what effect i changes in a run beside all
-others and alone, both simulated, at the matched zeta (to first order: the mean of its change of
-height is taken off by the response to zeta). What of the reference model's residual these leave,
-as effects do not just add, is divided among them by their size.
+others and alone, both simulated at the matched zeta (to first order, where none is found: the mean
+of its change of height is taken off by the response to zeta). What of the reference model's
+residual these leave, as effects do not just add, is divided among them by their size.
 """
 
 import itertools
@@ -23,8 +23,10 @@ import numpy as np
 from diagnose.dataset import RigDataset
 from diagnose.gap.cross_validation import HeldOutPrediction
 from diagnose.gap.gap import MM_PER_M, is_reducible
+from diagnose.gap.zeta_matching import MatchedRun, match_zeta
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
+from drftjax.recorded.matched_zeta import ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
 
@@ -44,6 +46,9 @@ class BudgetSettings:
 
 
 DEFAULT_BUDGET = BudgetSettings()
+
+# Mean sinkages are matched to a few micrometres, a tenth of the noise.
+MATCH = ZetaMatchSettings(min_step=2e-4)
 
 
 @dataclass(frozen=True)
@@ -184,23 +189,29 @@ def contributions(
     count, z = len(hypothesis.names), dataset.channels.index("z")
     everything = (1 << count) - 1
 
-    def simulated(run: int, kept: int) -> np.ndarray:
+    def left(run: int, kept: int) -> np.ndarray:
+        """Residual of a run with some of the effects, at its matched zeta."""
+        log_zeta, by_zeta = prediction.log_zeta[run], hypothesis.by_zeta(run)
         at = _with_effects_only(hypothesis.model, prediction.coordinates[run], kept)
-        return dataset.prediction(hypothesis.model, run, prediction.log_zeta[run], at)
+        simulated = dataset.prediction(hypothesis.model, run, log_zeta, at)
+        start = MatchedRun(simulated - dataset.recording(run), log_zeta, matched=False)
+        slope = float(by_zeta[z].mean())
+        if not slope > 0:
+            return start.residual
+        found = match_zeta(dataset, hypothesis.model, run, at, start, slope, MATCH)
+        if found.matched:
+            return found.residual
+        return start.residual - start.residual[z].mean() / slope * by_zeta
 
     def of(run: int) -> np.ndarray:
         gap = before[run] - after[run]
         if count <= 1:
             return gap[None][:count]
-        by_zeta = hypothesis.by_zeta(run)
-        slope = by_zeta[z].mean()
-        none, whole = simulated(run, 0), simulated(run, everything)
         found = []
         for place in range(count):
-            beside = simulated(run, everything & ~(1 << place)) - whole
-            alone = none - simulated(run, 1 << place)
-            each = np.nanmean([beside, alone], axis=0)
-            found.append(each - each[z].mean() / slope * by_zeta if slope > 0 else each)
+            beside = left(run, everything & ~(1 << place)) - after[run]
+            alone = before[run] - left(run, 1 << place)
+            found.append(np.nanmean([beside, alone], axis=0))
         parts = np.nan_to_num(np.array(found))
         size = (parts**2).sum(axis=2, keepdims=True)
         share = size / np.maximum(size.sum(axis=0), 1e-300)
