@@ -350,12 +350,14 @@ class _Diagnosing:
         scored = [ScoredHypothesis((), 0, left(none.residual, none.log_zeta))]
         for each in leading:
             predicted = held_out[each.names]
+            by_all = predicted.by_all
             scored.append(
                 ScoredHypothesis(
                     each.names,
                     len(each.coordinates),
                     left(each.residual, each.log_zeta),
                     left(predicted.residual, predicted.log_zeta),
+                    left(by_all.residual, by_all.log_zeta) if by_all else None,
                     predicted.conditions,
                 )
             )

@@ -21,6 +21,23 @@ from diagnose.run_pool import RunPool
 from drftjax.recorded.matched_zeta import DEFAULT_ZETA_MATCH, ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
+# Longest change of log zeta [-] whose response is taken as linear and not simulated: it moves the
+# wheel by 0.2 mm, and the response's curvature is a hundredth of that.
+MAX_LINEAR_STEP = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class RunsByAll:
+    """Runs with the numbers of all runs, each at the zeta that fits it best alone.
+
+    Attributes:
+        log_zeta: Each run's own log zeta over its set-up's [-], shape (runs,).
+        residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
+    """
+
+    log_zeta: np.ndarray
+    residual: list[np.ndarray]
+
 
 @dataclass(frozen=True, eq=False)
 class HeldOutPrediction:
@@ -33,6 +50,7 @@ class HeldOutPrediction:
         coordinates: The effects' free numbers without each run's condition, shape (runs, numbers).
         residual: By run, simulated minus recorded [m, N, N m], shape (channels, samples).
         conditions: Those that were held out.
+        by_all: The same runs with the numbers of all; where nothing was held out, no others.
     """
 
     dataset: RigDataset
@@ -41,6 +59,7 @@ class HeldOutPrediction:
     coordinates: np.ndarray
     residual: list[np.ndarray]
     conditions: tuple[HeldOutCondition, ...] = ()
+    by_all: RunsByAll | None = None
 
 
 def predict_held_out(
@@ -78,15 +97,35 @@ def predict_held_out(
             coordinates[run] += each.change
     held_out = {run for each in conditions for run in each.runs}
 
+    none = np.zeros(len(hypothesis.coordinates))
+    own_step = [_own_zeta_step(products, run, none, regressors.settings) for run in held_out]
+    by_all = np.array(hypothesis.log_zeta)
+    by_all[list(held_out)] += own_step
+
+    def simulated(run: int, zeta: float, at: np.ndarray) -> np.ndarray:
+        return dataset.prediction(hypothesis.model, run, zeta, at) - dataset.recording(run)
+
     def residual_of(run: int) -> np.ndarray:
         if run not in held_out:
             return hypothesis.residual[run]
-        model, at = hypothesis.model, coordinates[run]
-        return dataset.prediction(model, run, log_zeta[run], at) - dataset.recording(run)
+        return simulated(run, log_zeta[run], coordinates[run])
 
-    residual = dataset.map(pool, residual_of)
+    def residual_by_all(run: int) -> np.ndarray:
+        step = by_all[run] - hypothesis.log_zeta[run]
+        linear = hypothesis.residual[run] + step * hypothesis.by_zeta(run)
+        if abs(step) <= MAX_LINEAR_STEP:
+            return linear
+        found = simulated(run, by_all[run], hypothesis.coordinates)
+        return found if np.isfinite(found[np.isfinite(linear)]).all() else linear
+
     return HeldOutPrediction(
-        dataset, hypothesis, log_zeta, coordinates, residual, tuple(conditions)
+        dataset,
+        hypothesis,
+        log_zeta,
+        coordinates,
+        dataset.map(pool, residual_of),
+        tuple(conditions),
+        RunsByAll(by_all, dataset.map(pool, residual_by_all)),
     )
 
 

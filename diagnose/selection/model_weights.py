@@ -18,9 +18,9 @@ $$\ln W_h = u\,\max_C \Big(E(s^{C}_h, V^{C}_h) - \sum_{c \in C} d_c\Big)
 on runs that h was not fitted to and on those it was. The fit alone would reward what bends to every
 run. Prediction alone would condemn a right effect where the one condition that shows it best is
 left out, as the others know little of its numbers. So a condition counts by its prediction, or, in
-the set C, by the fit to all runs, at the log probability $d_c$ that it costs the others to take the
-numbers of all runs (`diagnose.hypotheses.refinement.without_conditions`): little where they hardly
-know better, and much where they do.
+the set C, by the numbers of all runs, at the log probability $d_c$ that it costs the others to take
+these (`diagnose.hypotheses.refinement.without_conditions`): little where they hardly know better,
+and much where they do. Either way each run has a zeta of its own.
 
 `unknown` is a mechanism outside the catalogue, beside any hypothesis: it is taken to leave a share
 $\rho$ (in amplitude) of what the hypothesis leaves beyond noise and $a_b$, with three free numbers.
@@ -144,8 +144,9 @@ class ScoredHypothesis:
         names: Its effects; none for the reference model.
         parameter_count: Number of its free numbers.
         fitted: What it leaves of the runs that it was fitted to.
-        held_out: The same with each run's numbers from the other conditions; as fitted where left
-            out.
+        held_out: The same with each run's numbers from the other conditions, and its zeta its own;
+            as fitted where left out.
+        by_all: With the numbers of all runs, each zeta its own as well; as fitted where left out.
         conditions: Those that were held out.
     """
 
@@ -153,20 +154,22 @@ class ScoredHypothesis:
     parameter_count: int
     fitted: LeftByRun
     held_out: LeftByRun | None = None
+    by_all: LeftByRun | None = None
     conditions: Sequence[HeldOutCondition] = ()
 
     def held_out_evidence(self, evidence: Callable[[LeftByRun], float]) -> float:
         """Log evidence of the runs held out, each condition as it counts for most.
 
-        From the prediction of all conditions on, that one is taken as it was fitted, at its cost,
-        which gains most, until none gains.
+        From the prediction of all conditions on, that one is taken by the numbers of all runs, at
+        its cost, which gains most, until none gains.
 
         Args:
             evidence: Log evidence of what is left of all runs.
         """
-        here, conditions, paid = self.held_out or self.fitted, list(self.conditions), 0.0
+        here, by_all = self.held_out or self.fitted, self.by_all or self.fitted
+        conditions, paid = list(self.conditions), 0.0
         while conditions:
-            others = [here.with_runs_of(self.fitted, each.runs) for each in conditions]
+            others = [here.with_runs_of(by_all, each.runs) for each in conditions]
             gains = [
                 evidence(other) - each.cost for other, each in zip(others, conditions, strict=True)
             ]

@@ -82,7 +82,9 @@ def test_a_condition_counts_as_fitted_where_the_others_know_little_of_the_number
     def ratio(unseen: LeftByRun) -> float:
         judged = [
             ScoredHypothesis((), 0, left(1e-6, 1e-6, 1e-6)),
-            ScoredHypothesis(("drawbar",), 1, left(1e-10, 1e-10, 1e-10), unseen, conditions),
+            ScoredHypothesis(
+                ("drawbar",), 1, left(1e-10, 1e-10, 1e-10), unseen, conditions=conditions
+            ),
         ]
         found = weights(judged, blocks, count, noise, settings)
         return found[("drawbar",)] / found[("none",)]
