@@ -60,11 +60,11 @@ class SetScreeningSettings:
     max_deficit: float = np.inf
     number_cost: float = 3.0
     max_per_effect: int = 2
-    sets_per_round: int = 12
+    sets_per_round: int = 13
     max_simulations: int = 3
     max_continued: int = 8
     both_starts: int = 2
-    far_both_starts: int = 12
+    far_both_starts: int = 13
     max_retries: int = 4
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
@@ -133,7 +133,7 @@ def set_candidates(
 ) -> Iterator[SetCandidate]:
     """Sets that linear fits propose, the rankings taking turns; one may come more than once.
 
-    Two rankings are by what each effect does alone, simulated: no linear fit is in them.
+    One ranking, two of pairs, is by what each effect does alone, simulated: no linear fit is in it.
 
     Arguments as for `refine_sets`.
     """
@@ -142,7 +142,8 @@ def set_candidates(
     by_base = [_leading_beside(regressors, each, miss, pool, rankings) for each in firsts]
     given = _exact_beside(regressors, firsts[0], by_base[0], pool)
     refined = [_with_refined(regressors, each, miss, singles, pool, settings) for each in firsts]
-    orders = _by_what_each_does_alone(regressors, refined, singles)
+    by_score, by_part = _by_what_each_does_alone(regressors, refined, singles)
+    orders = [by_score]
     for of_each in (
         refined,
         [
@@ -153,6 +154,8 @@ def set_candidates(
         for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)
             orders.append(sorted(together, key=lambda each: -each.score))
+    if len(firsts[0].names) == 1:
+        orders.append(by_part)
     return taking_turns(orders)
 
 
