@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.gap.cross_validation import predict_held_out
+from diagnose.gap.cross_validation import MAX_LINEAR_STEP, predict_held_out
 from diagnose.gap.gap import Gap, gaps, shrinkage
 from diagnose.gap.selected_effects import SelectedEffects
 from diagnose.hypotheses import set_screening
@@ -45,6 +45,8 @@ ROUNDING, HELD_BACK = 1e-12, 1e-9
 # Four steps come within half a typical size of three of them; a bound in the unit of the size stops
 # them two sizes short.
 STEPS = 0.5 * 0.1
+# Far enough that a run is simulated there, and not taken by a straight line.
+APART = 5 * MAX_LINEAR_STEP
 # No close call: a tenth for all else together.
 SURE = 0.9
 
@@ -128,6 +130,24 @@ def test_left_out_runs_are_predicted_by_the_true_effect_alone(regressors, pool):
         return float(np.sqrt(np.mean(np.concatenate([each[z] for each in unseen]) ** 2)))
 
     assert missed(slope) < UNSEEN < 10 * UNSEEN < missed(gain)
+
+
+def test_runs_by_the_numbers_of_all_have_the_zeta_that_suits_each_alone(regressors, pool):
+    """Whatever the zetas of a fit, which a bed's scatter may hold together against the runs."""
+    slope = refined(regressors, SurfaceSlope, 8, pool)
+    held_together = dataclasses.replace(
+        slope,
+        log_zeta=slope.log_zeta + APART,
+        residual=[r + APART * slope.by_zeta(run) for run, r in enumerate(slope.residual)],
+    )
+    own, again = (
+        predict_held_out(regressors, each, pool).by_all for each in (slope, held_together)
+    )
+    assert own is not None
+    assert again is not None
+    assert again.log_zeta == pytest.approx(own.log_zeta, abs=0.01 * APART)
+    for one, other in zip(own.residual, again.residual, strict=True):
+        assert np.sqrt(np.mean((one - other) ** 2)) < 0.1 * LEFT
 
 
 def test_two_forms_of_one_effect_are_no_pair(pool, monkeypatch):
