@@ -35,8 +35,8 @@ The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`d
 served the other half better than those before. The prior of `none` was chosen later, on 138 sets
 more (seeds 9110 and 9112, up to 078), by how often what has a weight is right. They are no part of
 any single dataset, and older than the bed's evidence, than sets of more than two effects and than
-$d_c$, for which they have not been chosen again. Of `formula_error_share` the sets say little between 0.005
-and 0.1; a share that pardons a second effect is too large.
+$d_c$, for which they have not been chosen again. Of `formula_error_share` the sets say little
+between 0.005 and 0.1; a share that pardons a second effect is too large.
 """
 
 from collections.abc import Callable, Sequence
