@@ -343,8 +343,8 @@ class _Diagnosing:
         regressors, none = found.regressors, found.none
 
         def left(residual: list[np.ndarray], log_zeta: np.ndarray) -> LeftByRun:
-            left = beside_plates(self.dataset, residual, finer, self.settings.discretization)
-            power = regressors.block_powers(left, self.pool)
+            plain = beside_plates(self.dataset, residual, finer, self.settings.discretization)
+            power = regressors.block_powers(plain, self.pool)
             return LeftByRun(power, log_zeta + regressors.log_reference_zeta)
 
         scored = [ScoredHypothesis((), 0, left(none.residual, none.log_zeta))]
@@ -363,10 +363,8 @@ class _Diagnosing:
             )
         matrices, residuals = regressors.gram_matrices, [e.residual for e in (none, *leading)]
         by_repeats = repeat_variance(regressors.dataset, residuals, none.by_zeta)
-        of_plates = regressors.block_powers(of_positions(self.dataset, finer), self.pool).sum(
-            axis=0
-        )
-        by_plates = regressors.noise_power + of_plates
+        of_plates = regressors.block_powers(of_positions(self.dataset, finer), self.pool)
+        by_plates = regressors.noise_power + of_plates.sum(axis=0)
         return weights(
             scored,
             matrices.blocks,

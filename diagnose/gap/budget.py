@@ -30,6 +30,9 @@ from drftjax.recorded.matched_zeta import ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
 
+BUDGET_MATCH = ZetaMatchSettings(min_step=2e-4)
+
+
 @dataclass(frozen=True)
 class BudgetSettings:
     """Numbers of a budget's intervals.
@@ -38,17 +41,17 @@ class BudgetSettings:
         draws: Draws of conditions and of the effects' numbers.
         probability: Of an interval [-].
         seed: Of the draws: fixed, so that the same runs give the same intervals.
+        match: Numbers of the search for a matched zeta: mean sinkages are matched to a few
+            micrometres, a tenth of the noise.
     """
 
     draws: int = 200
     probability: float = 0.9
     seed: int = 0
+    match: ZetaMatchSettings = BUDGET_MATCH
 
 
 DEFAULT_BUDGET = BudgetSettings()
-
-# Mean sinkages are matched to a few micrometres, a tenth of the noise.
-MATCH = ZetaMatchSettings(min_step=2e-4)
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ def gap_budget(
         settings: Numbers of the intervals.
     """
     dataset = prediction.dataset
-    parts = contributions(prediction, before, after, pool)
+    parts = contributions(prediction, before, after, pool, settings)
     groups = group_by_condition(dataset.runs)
     random = np.random.default_rng(settings.seed)
     picked = random.integers(0, len(groups), (settings.draws, len(groups)))
@@ -180,6 +183,7 @@ def contributions(
     before: Sequence[np.ndarray],
     after: Sequence[np.ndarray],
     pool: RunPool,
+    settings: BudgetSettings = DEFAULT_BUDGET,
 ) -> list[np.ndarray]:
     """Contribution of each effect by run [m, N, N m], shape (effects, channels, samples).
 
@@ -187,7 +191,8 @@ def contributions(
     """
     dataset, hypothesis = prediction.dataset, prediction.hypothesis
     count, z = len(hypothesis.names), dataset.channels.index("z")
-    everything = (1 << count) - 1
+    alone = [1 << place for place in range(count)]
+    beside = [sum(alone) - one for one in alone]
 
     def left(run: int, kept: int) -> np.ndarray:
         """Residual of a run with some of the effects, at its matched zeta."""
@@ -198,7 +203,7 @@ def contributions(
         slope = float(by_zeta[z].mean())
         if not slope > 0:
             return start.residual
-        found = match_zeta(dataset, hypothesis.model, run, at, start, slope, MATCH)
+        found = match_zeta(dataset, hypothesis.model, run, at, start, slope, settings.match)
         if found.matched:
             return found.residual
         return start.residual - start.residual[z].mean() / slope * by_zeta
@@ -207,11 +212,12 @@ def contributions(
         gap = before[run] - after[run]
         if count <= 1:
             return gap[None][:count]
-        found = []
-        for place in range(count):
-            beside = left(run, everything & ~(1 << place)) - after[run]
-            alone = before[run] - left(run, 1 << place)
-            found.append(np.nanmean([beside, alone], axis=0))
+        # Of two effects, one alone is the other's lack.
+        residual = {kept: left(run, kept) for kept in {*alone, *beside}}
+        found = [
+            np.nanmean([residual[others] - after[run], before[run] - residual[one]], axis=0)
+            for one, others in zip(alone, beside, strict=True)
+        ]
         parts = np.nan_to_num(np.array(found))
         size = (parts**2).sum(axis=2, keepdims=True)
         share = size / np.maximum(size.sum(axis=0), 1e-300)

@@ -22,6 +22,7 @@ from diagnose.hypotheses.hypothesis import (
     gaussian_prior,
     least_changes,
 )
+from diagnose.linear.bed import zeta_variance
 from diagnose.linear.information import information_on
 from diagnose.linear.linear_fit import (
     DEFAULT_LINEAR_FIT,
@@ -225,7 +226,7 @@ def _log_det(matrix: np.ndarray) -> float:
 def _information(
     here: Hypothesis, matrices: GramMatrices, fit: LinearFit, settings: LinearFitSettings
 ) -> np.ndarray:
-    """What some runs say of a hypothesis's coordinates, shape (free, free)."""
+    """Information that some runs give on a hypothesis's coordinates, shape (free, free)."""
     width, _ = gaussian_prior(here.model, settings)
     return information_on(matrices, fit, width, settings.worth(matrices.blocks), settings)
 
@@ -337,7 +338,7 @@ def simulated_fit(
     """Score of simulated residuals, in the place of a linear fit's."""
     moved = log_zeta + regressors.log_reference_zeta
     mean_square = regressors.block_powers(residual, pool).sum(axis=0)
-    variance = float(np.var(moved, ddof=1)) if len(moved) > 1 else 0.0
+    variance = zeta_variance(moved)
     matrices, runs, settings = regressors.gram_matrices, len(moved), regressors.settings
     count = matrices.sample_count.sum(axis=0)
     score = log_score(matrices.blocks, count, mean_square, variance, runs, settings=settings)

@@ -15,6 +15,11 @@ import numpy as np
 Numeric = TypeVar("Numeric", float, np.ndarray)
 
 
+def zeta_variance(log_zeta: np.ndarray) -> float:
+    """Variance of log zeta over the runs [-]; 0 of one run. `log_zeta` has shape (runs,)."""
+    return float(np.var(log_zeta, ddof=1)) if len(log_zeta) > 1 else 0.0
+
+
 class AbstractBed(ABC):
     """Rule by which the zetas of several runs are judged together; has their `scatter` [-]."""
 

@@ -45,6 +45,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnose.hypotheses.refinement import HeldOutCondition
+from diagnose.linear.bed import zeta_variance
 from diagnose.linear.linear_fit import (
     DEFAULT_LINEAR_FIT,
     Block,
@@ -126,7 +127,7 @@ class LeftByRun:
     @property
     def zeta_variance(self) -> float:
         """Variance of log zeta over the runs [-]."""
-        return float(np.var(self.log_zeta, ddof=1)) if len(self.log_zeta) > 1 else 0.0
+        return zeta_variance(self.log_zeta)
 
     def with_runs_of(self, other: "LeftByRun", runs: Sequence[int]) -> "LeftByRun":
         """The same with some runs as another has them."""

@@ -21,13 +21,10 @@ from diagnose.blind.plant.plant import DEFAULT_PLANT, FIT_PLATE_SIZE, Part, Plan
 from diagnose.blind.plant.rig import DEFAULT_RIG, PlantRig
 from diagnose.blind.plant.run_plan import PlannedRun
 from diagnose.blind.plant.sensors import PlantReading
-from diagnose.gap.budget import shapley_values
-from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
+from diagnose.gap.budget import DEFAULT_BUDGET, shapley_values
+from drftjax.recorded.matched_zeta import match_mean_sinkage
 
 CHANNELS = ("x", "z")
-
-# Mean sinkages are matched to a few micrometres, a tenth of the noise.
-MATCH = ZetaMatchSettings(min_step=2e-4)
 
 
 def true_budget(
@@ -104,5 +101,5 @@ def _residual(
 
     # Rise per unit of log zeta, about that of any wheel as deep in the sand [m].
     rise = 0.15 * rig.radius
-    match_mean_sinkage(miss, 0.0, slope=rise, settings=MATCH)
+    match_mean_sinkage(miss, 0.0, slope=rise, settings=DEFAULT_BUDGET.match)
     return np.stack([getattr(model, each) - getattr(real, each) for each in CHANNELS])

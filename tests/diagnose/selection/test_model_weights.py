@@ -70,29 +70,35 @@ def test_a_remainder_takes_a_part_of_a_sets_weight_and_adds_nothing():
     assert whole[("drawbar",)] > 0.9
 
 
-@pytest.mark.parametrize(("cost", "counts_as_fitted"), [(2.0, True), (200.0, False)])
-def test_a_condition_counts_as_fitted_where_the_others_know_little_of_the_numbers(
-    cost, counts_as_fitted
-):
-    """Three runs, of which one alone tells the numbers: the others miss it by a hundred times."""
-    blocks, count, noise = (("z", "slow"),), np.array([400.0]), np.array([0.0])
+# Three runs, of which the last alone tells the effect's number: the others miss it.
+FITTED, MISSED = left(1e-10, 1e-10, 1e-10), left(1e-10, 1e-10, 1e-6)
+
+
+def odds_of_missed_over_fitted(cost: float) -> float:
+    """Odds of an effect whose last condition is missed by the others, over one that all foretell.
+
+    Args:
+        cost: What it costs the others to take the number of all runs [-].
+    """
     settings = WeightSettings(max_remainder_odds=-50.0)
     conditions = [HeldOutCondition((run,), np.zeros(1), cost * (run == 2)) for run in range(3)]
 
-    def ratio(unseen: LeftByRun) -> float:
-        judged = [
-            ScoredHypothesis((), 0, left(1e-6, 1e-6, 1e-6)),
-            ScoredHypothesis(
-                ("drawbar",), 1, left(1e-10, 1e-10, 1e-10), unseen, conditions=conditions
-            ),
-        ]
-        found = weights(judged, blocks, count, noise, settings)
+    def odds(held_out: LeftByRun) -> float:
+        drawbar = ScoredHypothesis(("drawbar",), 1, FITTED, held_out, conditions=conditions)
+        judged = [ScoredHypothesis((), 0, left(1e-6, 1e-6, 1e-6)), drawbar]
+        found = weights(judged, (("z", "slow"),), np.array([400.0]), np.array([0.0]), settings)
         return found[("drawbar",)] / found[("none",)]
 
-    fit, missed = left(1e-10, 1e-10, 1e-10), left(1e-10, 1e-10, 1e-6)
-    as_fitted = ratio(fit)
-    if counts_as_fitted:
-        share = np.exp(-settings.held_out_share * cost)
-        assert ratio(missed) == pytest.approx(share * as_fitted, rel=1e-9)
-    else:
-        assert ratio(missed) < 0.1 * as_fitted
+    return odds(MISSED) / odds(FITTED)
+
+
+def test_a_condition_counts_by_the_numbers_of_all_where_the_others_know_little():
+    share = np.exp(-WeightSettings().held_out_share * 2.0)
+    assert odds_of_missed_over_fitted(cost=2.0) == pytest.approx(share, rel=1e-9)
+
+
+def test_a_condition_that_the_others_know_better_counts_by_their_prediction():
+    missed = odds_of_missed_over_fitted(cost=200.0)
+    assert missed < 0.1
+    # However much more it would cost.
+    assert odds_of_missed_over_fitted(cost=np.inf) == pytest.approx(missed, rel=1e-9)
