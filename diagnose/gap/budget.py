@@ -29,7 +29,6 @@ from diagnose.run_pool import RunPool
 from drftjax.recorded.matched_zeta import ZetaMatchSettings
 from drftjax.recorded.repeats import group_by_condition
 
-
 BUDGET_MATCH = ZetaMatchSettings(min_step=2e-4)
 
 
