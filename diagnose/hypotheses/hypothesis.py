@@ -213,25 +213,6 @@ def best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(found.values())
 
 
-def large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:
-    """Values far from zero to try [typical sizes], by the strength's place; few have any."""
-    about = [field_metadata(effect)[name] for name in strengths(effect)]
-    return {
-        place: [value / each["typical"] for value in each["far"]]
-        for place, each in enumerate(about)
-        if each["far"]
-    }
-
-
-def step_to(start: Hypothesis, coordinate: int, value: float) -> tuple[np.ndarray, np.ndarray]:
-    """Step from a start's null to one strength alone."""
-    assert start.proposed_step is not None
-    zeta, change = start.proposed_step
-    there = change.copy()
-    there[coordinate] = value - start.coordinates[coordinate]
-    return np.zeros_like(zeta), there
-
-
 def least_changes(here: Hypothesis) -> np.ndarray:
     """Least change of each coordinate that keeps the effects' numbers in their bounds."""
     return coordinate_bounds(here, "least") - here.coordinates

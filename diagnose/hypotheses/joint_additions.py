@@ -96,7 +96,9 @@ def joint_candidates(
     Returns:
         One may come more than once.
     """
-    by_base = [_by_ranking(regressors, each, min_gain, pool, rankings) for each in bases]
+    by_base = pool.map_outer(
+        lambda each: _by_ranking(regressors, each, min_gain, pool, rankings), bases
+    )
     orders = []
     for of_each in zip(*by_base, strict=True):
         together = itertools.chain.from_iterable(of_each)

@@ -15,12 +15,11 @@ from diagnose.hypotheses.exchange import exchanged_sets
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     best_of_each,
-    large_strengths,
     linear_start,
-    step_to,
     top_ranked,
 )
 from diagnose.hypotheses.joint_additions import joint_starts
+from diagnose.hypotheses.large_strengths import at_large_strengths
 from diagnose.hypotheses.leading_step_errors import without_leading_step_errors
 from diagnose.hypotheses.linear_ranking import ranked_effects
 from diagnose.hypotheses.refinement import predicted_score, refine, relinearize
@@ -132,7 +131,8 @@ class Screening:
         report(f"simulating the leading {len(ranked)} effects")
         singles = self.simulate_singles(ranked)
         if is_far:
-            singles = self.with_large_strengths(singles)
+            far = at_large_strengths(self.regressors, none, self.pool, self.settings.refinement)
+            singles = best_of_each([*singles, *far])
         here, by_size = self.at_leading([self.finish(singles), []])
         exchanged = frozenset[frozenset[str]]()
         if by_size[0] and self.leaves_gap(by_size[0][0]):
@@ -265,7 +265,7 @@ class Screening:
         settings = self.settings
         exchange = settings.exchange.where(self.leaves_gap(best))
         by_place = exchanged_sets(self.regressors, best, known, self.pool, exchange)
-        of_place = replace(limits, max_continued=exchange.max_continued)
+        of_place = replace(limits, max_continued=exchange.max_continued, fresh_derivatives=True)
         tried = [
             each
             for starts in by_place
@@ -371,11 +371,13 @@ class Screening:
         """
         regressors, pool, settings = self.regressors, self.pool, self.settings
         found = refine_sets(regressors, bases, singles, pool, limits, settings.refinement)
+        for base in bases[: limits.far_bases]:
+            found += at_large_strengths(regressors, base, pool, settings.refinement)
         of_joint = replace(limits, max_continued=settings.joint.max_continued)
         starts = joint_starts(regressors, smaller, found, pool, settings.joint)
         raced = race(regressors, starts, pool, of_joint, settings.refinement)
         found += [each for each in raced if each.is_simulated]
-        return self.finish(found)
+        return self.finish(best_of_each(found))
 
     def simulate_singles(
         self, ranked: Sequence[tuple[ShapeVariant, LinearFit]]
@@ -385,36 +387,6 @@ class Screening:
         self.regressors.begin_compiling([each.model for each in starts], self.pool)
         simulations = self.settings.first_simulations
         return self.pool.map_outer(lambda each: self.refine(each, simulations), starts)
-
-    def with_large_strengths(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Singles, and in their place those that do better from a strength far from zero."""
-        tries = [
-            (variant, coordinate, values)
-            for variant in self.regressors.variants
-            for coordinate, values in large_strengths(variant.effect).items()
-        ]
-        found = {each.names: each for each in singles}
-        for best in self.pool.map_outer(lambda each: self.try_strengths(*each), tries):
-            better = best.names not in found or best.score > found[best.names].score
-            if best.is_simulated and better:
-                found[best.names] = best
-        return list(found.values())
-
-    def try_strengths(
-        self, variant: ShapeVariant, coordinate: int, values: Sequence[float]
-    ) -> Hypothesis:
-        """Simulate an effect at each of some strengths, and refine the best from there."""
-        start = linear_start(self.regressors, [variant])
-        starts = [
-            replace(start, proposed_step=step_to(start, coordinate, value)) for value in values
-        ]
-        found = [self.refine(each, 1) for each in starts]
-        best = max(found, key=lambda each: each.score if each.is_simulated else -np.inf)
-        if not best.is_simulated:
-            return best
-        # The way there was long: the derivatives that it corrected hold for no small step.
-        exact = relinearize(self.regressors, best, self.pool)
-        return self.refine(exact, self.settings.simulations_per_round)
 
     def finish(self, hypotheses: list[Hypothesis], best_known: float = -np.inf) -> list[Hypothesis]:
         """Refine the leading hypotheses to their end; return all of them, best first.

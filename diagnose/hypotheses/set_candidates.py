@@ -48,8 +48,11 @@ class SetScreeningSettings:
         both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
         far_both_starts: The same where the reference model is far off.
+        far_bases: Leading bases beside which effects are tried at strengths far from zero.
         max_retries: Sets that do worse than a part of them, from which they may begin, are refined
-            again from there, so many at most. None but where the reference model is far off.
+            again from there, so many at most. Neither but where the reference model is far off.
+        fresh_derivatives: Those that go on get derivatives by the simulator first. One effect more is
+            a short way, on which Broyden's update does as well; another in its place is a long one.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
         rankings: Linear fits rank sets with an effect at its null once by each of these.
         refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are
@@ -65,7 +68,9 @@ class SetScreeningSettings:
     max_continued: int = 8
     both_starts: int = 2
     far_both_starts: int = 13
+    far_bases: int = 2
     max_retries: int = 4
+    fresh_derivatives: bool = False
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
@@ -75,7 +80,7 @@ class SetScreeningSettings:
         if is_far:
             both_starts = self.far_both_starts
             return replace(self, max_continued=self.sets_per_round, both_starts=both_starts)
-        return replace(self, max_retries=0)
+        return replace(self, max_retries=0, far_bases=0)
 
 
 DEFAULT_PAIRS = SetScreeningSettings()
@@ -139,17 +144,21 @@ def set_candidates(
     """
     firsts = leading_bases(bases, settings)
     miss, rankings = bases[0].fit.mean_square, settings.rankings
-    by_base = [_leading_beside(regressors, each, miss, pool, rankings) for each in firsts]
+    by_base = pool.map_outer(
+        lambda each: _leading_beside(regressors, each, miss, pool, rankings), firsts
+    )
     given = _exact_beside(regressors, firsts[0], by_base[0], pool)
-    refined = [_with_refined(regressors, each, miss, singles, pool, settings) for each in firsts]
+    refined = pool.map_outer(
+        lambda each: _with_refined(regressors, each, miss, singles, pool, settings), firsts
+    )
     by_score, by_part = _by_what_each_does_alone(regressors, refined, singles)
     orders = [by_score]
     for of_each in (
         refined,
-        [
-            _with_any(regressors, each, leading, miss, pool, rankings, given)
-            for each, leading in zip(firsts, by_base, strict=True)
-        ],
+        pool.map_outer(
+            lambda base: _with_any(regressors, *base, miss, pool, rankings, given),
+            zip(firsts, by_base, strict=True),
+        ),
     ):
         for every in itertools.zip_longest(*of_each, fillvalue=()):
             together = itertools.chain.from_iterable(every)

@@ -117,7 +117,6 @@ def race(
 ) -> list[Hypothesis]:
     """Refine the starts; only the leading ones get more than one simulation.
 
-    These get derivatives by the simulator first: an effect far from its null has others than there.
     One that does worse than without the effect which was added went astray, and is refined again
     from there.
 
@@ -133,8 +132,9 @@ def race(
         return start, refine(regressors, start, 1, pool, refinement)
 
     def onward(here: Hypothesis) -> Hypothesis:
-        exact = relinearize(regressors, here, pool) if here.is_simulated else here
-        return refine(regressors, exact, settings.max_simulations - 1, pool, refinement)
+        if settings.fresh_derivatives and here.is_simulated:
+            here = relinearize(regressors, here, pool)
+        return refine(regressors, here, settings.max_simulations - 1, pool, refinement)
 
     def further(both: tuple[Hypothesis, Hypothesis]) -> Hypothesis:
         start, here = both

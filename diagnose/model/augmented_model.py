@@ -101,6 +101,10 @@ class AugmentedModel:
 
     def null(self) -> np.ndarray:
         """Coordinates at which no effect acts, shapes at their defaults, shape (free,)."""
+        return self._null.copy()
+
+    @cached_property
+    def _null(self) -> np.ndarray:
         return np.array(
             [0.0 if f.scale is not None else f.coordinate(self._default(f)) for f in self.free]
         )
@@ -278,8 +282,7 @@ def _of_all_channels(observed: PaddedObservations, channels: tuple[str, ...]) ->
     error = np.zeros((len(CHANNELS), observed.step_error.shape[-1]), observed.step_error.dtype)
     error[_rows_of(channels)] = observed.step_error
     nothing = jnp.zeros(0, error.dtype)
-    parts = nothing, nothing, jnp.asarray(error)
-    return eqx.tree_at(lambda o: (o.values, o.weight, o.step_error), observed, parts)
+    return replace(observed, values=nothing, weight=nothing, step_error=jnp.asarray(error))
 
 
 def predict(
@@ -426,7 +429,7 @@ def slopes(
     run = channels, trial, observed
     _, found = predict_with_jacobian(directions, *run, log_zeta, coordinates)
     # The height changes by about the sinkage times a change of log zeta, and by less for all else.
-    most = 2 * float(trial.simulator.wheel.cut().radius)
+    most = 2 * float(trial.simulator.wheel.radius)
     if "z" not in channels or np.abs(found[channels.index("z")]).max() <= most:
         return found
     seen, rows = _of_all_channels(observed, channels), _rows_of(channels)
