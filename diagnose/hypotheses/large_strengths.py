@@ -4,11 +4,12 @@ Where the reference model is far off linear fits about the null say little of an
 play of a drive, or sand that softens where the wheel slips. Each of a few strengths is simulated.
 """
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
-from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each
 from diagnose.hypotheses.refinement import (
     DEFAULT_REFINEMENT,
     RefinementSettings,
@@ -41,6 +42,7 @@ def at_large_strengths(
     base: Hypothesis,
     pool: RunPool,
     refinement: RefinementSettings = DEFAULT_REFINEMENT,
+    max_starts: int = 1,
 ) -> list[Hypothesis]:
     """A hypothesis with each effect that has large strengths, refined from the best of these.
 
@@ -49,9 +51,10 @@ def at_large_strengths(
         base: The hypothesis.
         pool: Threads.
         refinement: Numbers of the refinement.
+        max_starts: Strengths and shapes of an effect that are gone on from, at most.
 
     Returns:
-        One of each effect with which the runs can be simulated.
+        The best with each effect with which the runs can be simulated.
     """
     tries = [
         (variant, place, value)
@@ -72,11 +75,13 @@ def at_large_strengths(
         return refine(regressors, exact, SIMULATIONS, pool, refinement)
 
     ranked = sorted(pool.map_outer(simulated, tries), key=lambda each: -each[0])
-    firsts: dict[tuple[str, ...], Hypothesis] = {}
+    count = Counter[tuple[str, ...]]()
+    leading = []
     for _, each in ranked:
-        if each.is_simulated:
-            firsts.setdefault(each.names, each)
-    return pool.map_outer(refined, firsts.values())
+        if each.is_simulated and count[each.names] < max_starts:
+            count[each.names] += 1
+            leading.append(each)
+    return best_of_each(pool.map_outer(refined, leading))
 
 
 def _start(

@@ -131,7 +131,8 @@ class Screening:
         report(f"simulating the leading {len(ranked)} effects")
         singles = self.simulate_singles(ranked)
         if is_far:
-            far = at_large_strengths(self.regressors, none, self.pool, self.settings.refinement)
+            search = self.pool, self.settings.refinement, self.settings.far_starts
+            far = at_large_strengths(self.regressors, none, *search)
             singles = best_of_each([*singles, *far])
         here, by_size = self.at_leading([self.finish(singles), []])
         exchanged = frozenset[frozenset[str]]()

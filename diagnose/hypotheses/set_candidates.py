@@ -51,8 +51,9 @@ class SetScreeningSettings:
         far_bases: Leading bases beside which effects are tried at strengths far from zero.
         max_retries: Sets that do worse than a part of them, from which they may begin, are refined
             again from there, so many at most. Neither but where the reference model is far off.
-        fresh_derivatives: Those that go on get derivatives by the simulator first. One effect more is
-            a short way, on which Broyden's update does as well; another in its place is a long one.
+        fresh_derivatives: Those that go on get derivatives by the simulator first. One effect more
+            is a short way, on which Broyden's update does as well; another in its place is a long
+            one.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
         rankings: Linear fits rank sets with an effect at its null once by each of these.
         refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are

@@ -41,6 +41,7 @@ class ScreeningSettings:
             many model errors [-]: there strengths far from zero are tried one by one, too.
         far_from_scatter: Likewise where the runs' zeta scatters by more than this many times the
             bed's scatter [-].
+        far_starts: Strengths and shapes of one effect alone that are gone on from there, at most.
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
         max_effects: Effects in one hypothesis at most.
@@ -76,6 +77,7 @@ class ScreeningSettings:
     hopeless_deficit: float = 100.0
     far_from_floor: float = 30.0
     far_from_scatter: float = 10.0
+    far_starts: int = 4
     pair_floor: float = 1.5
     max_effects: int = 6
     min_set_gain: float = 8.0
