@@ -96,6 +96,7 @@ DEFAULT_LARGER_SETS = SetScreeningSettings(
     max_continued=3,
     both_starts=1,
     far_both_starts=1,
+    far_bases=0,
 )
 
 
