@@ -5,7 +5,7 @@ play of a drive, or sand that softens where the wheel slips. Each of a few stren
 """
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +23,23 @@ from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import field_metadata, reported_names, strengths
 
-# Simulations by which an effect is refined from the strength that does best.
-SIMULATIONS = 5
+
+@dataclass(frozen=True)
+class LargeStrengthSettings:
+    """Numbers by which strengths far from zero are gone on from.
+
+    Attributes:
+        max_starts: Strengths and shapes of an effect alone, at most.
+        max_starts_beside: The same beside other effects, whose numbers are known by then.
+        simulations: Simulations from each, at most.
+    """
+
+    max_starts: int = 4
+    max_starts_beside: int = 1
+    simulations: int = 5
+
+
+DEFAULT_LARGE_STRENGTHS = LargeStrengthSettings()
 
 
 def large_strengths(effect: type[AbstractEffect]) -> dict[int, list[float]]:
@@ -41,8 +56,8 @@ def at_large_strengths(
     regressors: Regressors,
     base: Hypothesis,
     pool: RunPool,
+    settings: LargeStrengthSettings = DEFAULT_LARGE_STRENGTHS,
     refinement: RefinementSettings = DEFAULT_REFINEMENT,
-    max_starts: int = 1,
 ) -> list[Hypothesis]:
     """A hypothesis with each effect that has large strengths, refined from the best of these.
 
@@ -50,8 +65,8 @@ def at_large_strengths(
         regressors: The runs.
         base: The hypothesis.
         pool: Threads.
+        settings: Numbers of the choice.
         refinement: Numbers of the refinement.
-        max_starts: Strengths and shapes of an effect that are gone on from, at most.
 
     Returns:
         The best with each effect with which the runs can be simulated.
@@ -72,13 +87,14 @@ def at_large_strengths(
     def refined(here: Hypothesis) -> Hypothesis:
         # The way there was long: the derivatives that it corrected hold for no small step.
         exact = relinearize(regressors, here, pool)
-        return refine(regressors, exact, SIMULATIONS, pool, refinement)
+        return refine(regressors, exact, settings.simulations, pool, refinement)
 
     ranked = sorted(pool.map_outer(simulated, tries), key=lambda each: -each[0])
+    most = settings.max_starts_beside if base.names else settings.max_starts
     count = Counter[tuple[str, ...]]()
     leading = []
     for _, each in ranked:
-        if each.is_simulated and count[each.names] < max_starts:
+        if each.is_simulated and count[each.names] < most:
             count[each.names] += 1
             leading.append(each)
     return best_of_each(pool.map_outer(refined, leading))

@@ -131,9 +131,7 @@ class Screening:
         report(f"simulating the leading {len(ranked)} effects")
         singles = self.simulate_singles(ranked)
         if is_far:
-            search = self.pool, self.settings.refinement, self.settings.far_starts
-            far = at_large_strengths(self.regressors, none, *search)
-            singles = best_of_each([*singles, *far])
+            singles = best_of_each([*singles, *self.at_large_strengths(none)])
         here, by_size = self.at_leading([self.finish(singles), []])
         exchanged = frozenset[frozenset[str]]()
         if by_size[0] and self.leaves_gap(by_size[0][0]):
@@ -373,7 +371,7 @@ class Screening:
         regressors, pool, settings = self.regressors, self.pool, self.settings
         found = refine_sets(regressors, bases, singles, pool, limits, settings.refinement)
         for base in bases[: limits.far_bases]:
-            found += at_large_strengths(regressors, base, pool, settings.refinement)
+            found += self.at_large_strengths(base)
         of_joint = replace(limits, max_continued=settings.joint.max_continued)
         starts = joint_starts(regressors, smaller, found, pool, settings.joint)
         raced = race(regressors, starts, pool, of_joint, settings.refinement)
@@ -388,6 +386,12 @@ class Screening:
         self.regressors.begin_compiling([each.model for each in starts], self.pool)
         simulations = self.settings.first_simulations
         return self.pool.map_outer(lambda each: self.refine(each, simulations), starts)
+
+    def at_large_strengths(self, base: Hypothesis) -> list[Hypothesis]:
+        """A hypothesis with each effect at a strength far from zero."""
+        settings = self.settings
+        search = self.pool, settings.large_strengths, settings.refinement
+        return at_large_strengths(self.regressors, base, *search)
 
     def finish(self, hypotheses: list[Hypothesis], best_known: float = -np.inf) -> list[Hypothesis]:
         """Refine the leading hypotheses to their end; return all of them, best first.

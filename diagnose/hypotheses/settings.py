@@ -5,6 +5,10 @@ from dataclasses import dataclass
 from diagnose.dataset import DEFAULT_INITIAL_ZETA, InitialZetaSettings
 from diagnose.hypotheses.exchange import DEFAULT_EXCHANGE, ExchangeSettings
 from diagnose.hypotheses.joint_additions import DEFAULT_JOINT, JointSettings
+from diagnose.hypotheses.large_strengths import (
+    DEFAULT_LARGE_STRENGTHS,
+    LargeStrengthSettings,
+)
 from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking
 from diagnose.hypotheses.refinement import DEFAULT_REFINEMENT, RefinementSettings
 from diagnose.hypotheses.set_candidates import (
@@ -41,7 +45,6 @@ class ScreeningSettings:
             many model errors [-]: there strengths far from zero are tried one by one, too.
         far_from_scatter: Likewise where the runs' zeta scatters by more than this many times the
             bed's scatter [-].
-        far_starts: Strengths and shapes of one effect alone that are gone on from there, at most.
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
             model errors in the slow part of a channel [-].
         max_effects: Effects in one hypothesis at most.
@@ -58,6 +61,7 @@ class ScreeningSettings:
         linearization: Numbers of the linearisation.
         linear_fit: Weights of linear fits, and of the log score.
         refinement: Numbers of the refinement by simulation.
+        large_strengths: Numbers by which strengths far from zero are gone on from.
         pairs: Numbers of the choice of pairs.
         larger_sets: The same of sets of three effects and more.
         joint: Numbers of the choice of two effects at once.
@@ -77,7 +81,6 @@ class ScreeningSettings:
     hopeless_deficit: float = 100.0
     far_from_floor: float = 30.0
     far_from_scatter: float = 10.0
-    far_starts: int = 4
     pair_floor: float = 1.5
     max_effects: int = 6
     min_set_gain: float = 8.0
@@ -89,6 +92,7 @@ class ScreeningSettings:
     linearization: LinearizationSettings = DEFAULT_LINEARIZATION
     linear_fit: LinearFitSettings = DEFAULT_LINEAR_FIT
     refinement: RefinementSettings = DEFAULT_REFINEMENT
+    large_strengths: LargeStrengthSettings = DEFAULT_LARGE_STRENGTHS
     pairs: SetScreeningSettings = DEFAULT_PAIRS
     larger_sets: SetScreeningSettings = DEFAULT_LARGER_SETS
     joint: JointSettings = DEFAULT_JOINT
