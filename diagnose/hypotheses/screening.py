@@ -264,6 +264,7 @@ class Screening:
         settings = self.settings
         exchange = settings.exchange.where(self.leaves_gap(best))
         by_place = exchanged_sets(self.regressors, best, known, self.pool, exchange)
+        # What takes another's place has a long way to go.
         of_place = replace(limits, max_continued=exchange.max_continued, fresh_derivatives=True)
         tried = [
             each

@@ -48,12 +48,13 @@ class SetScreeningSettings:
         both_starts: Leading sets that are refined from the other kind of start as well, as neither
             is sure to lead to the best.
         far_both_starts: The same where the reference model is far off.
-        far_bases: Leading bases beside which effects are tried at strengths far from zero.
+        far_bases: Leading bases beside which effects are tried at strengths far from zero, where
+            the reference model is far off.
         max_retries: Sets that do worse than a part of them, from which they may begin, are refined
-            again from there, so many at most. Neither but where the reference model is far off.
-        fresh_derivatives: Those that go on get derivatives by the simulator first. One effect more
-            is a short way, on which Broyden's update does as well; another in its place is a long
-            one.
+            again from there, so many at most. None but where the reference model is far off.
+        fresh_derivatives: Where the reference model is far off those that go on get derivatives by
+            the simulator first. Else, and in larger sets, one effect more is a short way, on which
+            Broyden's update does as well.
         share_prior: Width of the prior on how much of a refined effect acts beside another [-].
         rankings: Linear fits rank sets with an effect at its null once by each of these.
         refined_floor_shares: Shares of the worst block's RMS in model errors that model errors are
@@ -71,7 +72,7 @@ class SetScreeningSettings:
     far_both_starts: int = 13
     far_bases: int = 2
     max_retries: int = 4
-    fresh_derivatives: bool = False
+    fresh_derivatives: bool = True
     share_prior: float = 2.0
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS
     refined_floor_shares: tuple[float, ...] = (0.3, 0.0)
@@ -81,7 +82,7 @@ class SetScreeningSettings:
         if is_far:
             both_starts = self.far_both_starts
             return replace(self, max_continued=self.sets_per_round, both_starts=both_starts)
-        return replace(self, max_retries=0, far_bases=0)
+        return replace(self, max_retries=0, far_bases=0, fresh_derivatives=False)
 
 
 DEFAULT_PAIRS = SetScreeningSettings()
@@ -97,6 +98,7 @@ DEFAULT_LARGER_SETS = SetScreeningSettings(
     both_starts=1,
     far_both_starts=1,
     far_bases=0,
+    fresh_derivatives=False,
 )
 
 
