@@ -10,7 +10,12 @@ from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses import set_candidates as set_candidates_module
 from diagnose.hypotheses import set_screening
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
-from diagnose.hypotheses.refinement import at_its_start, refine
+from diagnose.hypotheses.refinement import (
+    DEFAULT_REFINEMENT,
+    at_its_start,
+    refine,
+    relinearize,
+)
 from diagnose.hypotheses.set_candidates import (
     DEFAULT_LARGER_SETS,
     DEFAULT_PAIRS,
@@ -18,7 +23,7 @@ from diagnose.hypotheses.set_candidates import (
     leading_bases,
     set_candidates,
 )
-from diagnose.hypotheses.set_screening import refine_sets, without_effect
+from diagnose.hypotheses.set_screening import race, refine_sets, without_effect
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import shared_model
@@ -240,6 +245,24 @@ def test_where_the_model_is_far_off_all_pairs_begin_from_both_kinds_of_start(
         if set(each.names) == set(mine.names):
             assert not np.array_equal(each.proposed_step[1], mine.proposed_step[1])
     assert DEFAULT_PAIRS.where(is_far=False).both_starts < settings.both_starts
+
+
+@pytest.mark.parametrize("is_far", [True, False])
+def test_pairs_get_derivatives_by_the_simulator_far_from_the_model_alone(
+    regressors, singles, pool, monkeypatch, is_far
+):
+    computed = []
+
+    def counted(regressors, here, pool):
+        computed.append(here.names)
+        return relinearize(regressors, here, pool)
+
+    monkeypatch.setattr(set_screening, "relinearize", counted)
+    start = next(set_candidates(regressors, singles, singles, pool)).build()
+    (found,) = race(regressors, [start], pool, DEFAULT_PAIRS.where(is_far), DEFAULT_REFINEMENT)
+    assert found.is_simulated
+    assert computed == [start.names] * is_far
+    assert not DEFAULT_LARGER_SETS.where(is_far).fresh_derivatives
 
 
 def test_no_start_is_refined_twice(regressors, singles, pool, monkeypatch):
