@@ -5,14 +5,17 @@ and a filter of the instruments, the one that leads early may be the wrong one, 
 later makes up for it.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnose.hypotheses.exact_responses import FurtherResponses, exact_responses
 from diagnose.hypotheses.hypothesis import Hypothesis, lower_bounds
 from diagnose.hypotheses.set_candidates import joined_from_null
 from diagnose.hypotheses.set_screening import without_effect
+from diagnose.linear.linear_fit import GramMatrices
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.run_pool import RunPool
 from drftjax.effects.catalogue import reported_names
@@ -57,12 +60,15 @@ class LookAlike:
         share: Share of the part that it makes up for, beside zeta [-].
         strengths: With which it does [typical sizes], shape (strengths,).
         log_zeta_change: What zeta makes up for beside it [-], shape (runs,).
+        exact: By run, derivatives by the strengths at the set's numbers, shape (channels, samples,
+            strengths); none where only those about the reference model are known.
     """
 
     variant: ShapeVariant
     share: float
     strengths: np.ndarray
     log_zeta_change: np.ndarray
+    exact: list[np.ndarray] | None = None
 
 
 def exchanged_sets(
@@ -94,16 +100,15 @@ def exchanged_sets(
         whole = len(reported_names(names)) == len(names)  # no two forms of one effect
         return whole and frozenset(names) not in tried
 
+    parts = [_response(best, place) for place in range(len(best.model.effects))]
+    alike_by_place = look_alikes(regressors, best, parts, pool, settings)
     found = []
-    for place in range(len(best.model.effects)):
-        kept = without_effect(best, place)
-        part = _response(best, place)
+    for place, (part, alike) in enumerate(zip(parts, alike_by_place, strict=True)):
         rest = replace(
-            kept,
+            without_effect(best, place),
             residual=[left - own for left, own in zip(best.residual, part, strict=True)],
             proposed_step=None,
         )
-        alike = look_alikes(regressors, best, part, pool, settings)
         found.append(
             [
                 _in_its_place(regressors, rest, each)
@@ -122,7 +127,7 @@ def _in_its_place(regressors: Regressors, rest: Hypothesis, alike: LookAlike) ->
         coefficients=np.r_[np.zeros(len(rest.coordinates)), alike.strengths],
         log_zeta_change=alike.log_zeta_change,
     )
-    return joined_from_null(regressors, rest, [alike.variant], fit)
+    return joined_from_null(regressors, rest, [alike.variant], fit, alike.exact)
 
 
 def _response(best: Hypothesis, place: int) -> list[np.ndarray]:
@@ -134,50 +139,86 @@ def _response(best: Hypothesis, place: int) -> list[np.ndarray]:
 def look_alikes(
     regressors: Regressors,
     best: Hypothesis,
-    part: list[np.ndarray],
+    parts: Sequence[list[np.ndarray]],
     pool: RunPool,
     settings: ExchangeSettings = DEFAULT_EXCHANGE,
-) -> list[LookAlike]:
+) -> list[list[LookAlike]]:
     """Effects outside a set whose response makes up for most of a part of its own, the best first.
+
+    Responses about the reference model choose each effect's shapes. The share that it makes up for
+    is taken with those at the set's numbers: beside a large lag the two are far apart.
 
     Args:
         regressors: The runs.
         best: The set.
-        part: What one of its effects changes, by run, shape (channels, samples).
+        parts: What each of its effects that is asked about changes: by run, shape (channels,
+            samples).
         pool: Threads.
         settings: Numbers of the choice.
+
+    Returns:
+        By part.
     """
-    columns = [np.stack([best.by_zeta(run), own], axis=2) for run, own in enumerate(part)]
-    products = regressors.gram_matrices_beside_all(columns, best.residual, best.log_zeta, pool)
+    others = [each for each in regressors.variants if each.effect.about.name not in best.names]
+    asked = [
+        np.stack([best.by_zeta(run), *(part[run] for part in parts)], axis=2)
+        for run in regressors.dataset.run_numbers
+    ]
+    of_run = asked, best.residual, best.log_zeta
+    about_null = regressors.gram_matrices_beside_all(*of_run, pool)
+    first_shares = _made_up(regressors, about_null, len(parts), others)
+    by_effect: dict[str, list[LookAlike]] = {}
+    for each in itertools.chain(*first_shares):
+        by_effect.setdefault(each.variant.effect.about.name, []).append(each)
+    leading = [max(several, key=lambda each: each.share) for several in by_effect.values()]
+    chosen = [each.variant for each in leading]
+    exact = exact_responses(regressors, best, chosen, pool)
+    here = FurtherResponses.of(regressors, replace(best, columns=asked), chosen, exact)
+    at_set = regressors.gram_matrices_of(here.columns, best.residual, best.log_zeta, pool)
+    found = []
+    for shares in _made_up(regressors, at_set, len(parts), here.variants):
+        alike = [
+            replace(each, variant=variant, exact=exact.get(variant.effect.about.name))
+            for each, variant in zip(shares, chosen, strict=True)
+            if each.share > settings.min_alike
+        ]
+        found.append(sorted(alike, key=lambda each: -each.share)[: settings.max_alike])
+    return found
+
+
+def _made_up(
+    regressors: Regressors,
+    products: GramMatrices,
+    parts: int,
+    variants: Sequence[ShapeVariant],
+) -> list[list[LookAlike]]:
+    """What each variant makes up for of each part of a set.
+
+    Args:
+        regressors: The runs.
+        products: Of the columns by zeta, of each part, and of further ones behind them.
+        parts: How many.
+        variants: Effects, with the numbers of their columns among the further ones.
+
+    Returns:
+        By part, by variant.
+    """
     weighed = products.weighed(regressors.settings)
     by_zeta = weighed[:, 0] / np.maximum(weighed[:, 0, :1], 1e-300)
     # What each run's own zeta makes up for is no part of it.
     gram = (weighed - weighed[:, 0, :, None] * by_zeta[:, None, :]).sum(axis=0)
-    found: dict[str, LookAlike] = {}
-    for variant in regressors.variants:
-        name = variant.effect.about.name
-        if name in best.names:
-            continue
-        alike = _made_up(gram, by_zeta, variant)
-        if name not in found or alike.share > found[name].share:
-            found[name] = alike
-    alike = [each for each in found.values() if each.share > settings.min_alike]
-    return sorted(alike, key=lambda each: -each.share)[: settings.max_alike]
-
-
-def _made_up(gram: np.ndarray, by_zeta: np.ndarray, variant: ShapeVariant) -> LookAlike:
-    """Share of the column behind zeta that a variant makes up for, and the strengths by which.
-
-    Args:
-        gram: Weighed products of the columns beside the runs' own zetas, zeta's first, shape (n,
-            n).
-        by_zeta: Change of each run's log zeta that each column is as much as, shape (runs, n).
-        variant: The variant.
-    """
-    taken = [2 + column for column in variant.columns]
-    cross, power = gram[taken, 1], gram[1, 1]
-    fitted = np.linalg.lstsq(gram[np.ix_(taken, taken)], cross, rcond=1e-10)[0]
-    fitted = np.maximum(fitted, lower_bounds(variant.effect))
-    left = power - 2 * cross @ fitted + fitted @ gram[np.ix_(taken, taken)] @ fitted
-    share = 1 - float(left / power) if power > 0 else 0.0
-    return LookAlike(variant, share, fitted, by_zeta[:, 1] - by_zeta[:, taken] @ fitted)
+    found = []
+    for part in range(1, 1 + parts):
+        power = gram[part, part]
+        shares = []
+        for variant in variants:
+            taken = [1 + parts + column for column in variant.columns]
+            cross, own = gram[taken, part], gram[np.ix_(taken, taken)]
+            fitted = np.linalg.lstsq(own, cross, rcond=1e-10)[0]
+            fitted = np.maximum(fitted, lower_bounds(variant.effect))
+            left = power - 2 * cross @ fitted + fitted @ own @ fitted
+            share = 1 - float(left / power) if power > 0 else 0.0
+            zeta = by_zeta[:, part] - by_zeta[:, taken] @ fitted
+            shares.append(LookAlike(variant, share, fitted, zeta))
+        found.append(shares)
+    return found

@@ -47,7 +47,7 @@ def wrong(regressors, pool):
 
 def test_friction_is_the_look_alike_of_a_pull(regressors, wrong, pool):
     part = [each[:, :, 1] * wrong.coordinates[0] for each in wrong.columns]
-    alike = look_alikes(regressors, wrong, part, pool)
+    (alike,) = look_alikes(regressors, wrong, [part], pool)
     names = [each.variant.effect.about.name for each in alike]
     assert names[0] == "horizontal_coulomb"
     assert "surface_slope" not in names
