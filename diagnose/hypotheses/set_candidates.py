@@ -149,9 +149,9 @@ def set_candidates(
     firsts = leading_bases(bases, settings)
     miss, rankings = bases[0].fit.mean_square, settings.rankings
     by_base = pool.map_outer(
-        lambda each: _leading_beside(regressors, each, miss, pool, rankings), firsts
+        lambda each: leading_beside(regressors, each, miss, pool, rankings), firsts
     )
-    given = _exact_beside(regressors, firsts[0], by_base[0], pool)
+    given = exact_beside(regressors, firsts[0], by_base[:1], pool)
     refined = pool.map_outer(
         lambda each: _with_refined(regressors, each, miss, singles, pool, settings), firsts
     )
@@ -160,7 +160,7 @@ def set_candidates(
     for of_each in (
         refined,
         pool.map_outer(
-            lambda base: _with_any(regressors, *base, miss, pool, rankings, given),
+            lambda base: with_any(regressors, *base, miss, pool, rankings, given),
             zip(firsts, by_base, strict=True),
         ),
     ):
@@ -295,23 +295,34 @@ def _join_refined(
     return _join(first, other.model, null, other.columns, fit, (zeta, change))
 
 
-def _exact_beside(
-    regressors: Regressors, best: Hypothesis, leading: LeadingVariants, pool: RunPool
+def exact_beside(
+    regressors: Regressors,
+    best: Hypothesis,
+    leading: Sequence[LeadingVariants],
+    pool: RunPool,
 ) -> GivenResponses:
-    """Responses to further effects at the numbers of the best base; none beside a single effect.
+    """Responses to further effects at the numbers of a set; none beside a single effect.
 
-    The other bases are about as good, so they move the runs much as it does: its responses stand
-    for theirs, too. `leading` are the further effects' best variants beside it.
+    Args:
+        regressors: The runs.
+        best: The set.
+        leading: By base, the further effects' best variants beside it. The bases are about as good
+            as the set, so they move the runs much as it does: its responses stand for theirs, too.
+        pool: Threads.
     """
     if len(best.names) < 2:
         return {}
-    # Of each effect the shapes that do best by the last ranking.
-    chosen = {name: variant for name, (variant, _) in leading[-1].items()}
+    # Of each effect the shapes that do best by the last ranking, beside the first base with it.
+    chosen: dict[str, ShapeVariant] = {}
+    for each in leading:
+        for name, (variant, _) in each[-1].items():
+            if name not in best.names:
+                chosen.setdefault(name, variant)
     exact = exact_responses(regressors, best, list(chosen.values()), pool)
     return {name: (chosen[name], responses) for name, responses in exact.items()}
 
 
-def _leading_beside(
+def leading_beside(
     regressors: Regressors,
     first: Hypothesis,
     miss: np.ndarray,
@@ -326,7 +337,7 @@ def _leading_beside(
     return best_variants(matrices, least_changes(first), others, miss, rankings, weights)
 
 
-def _with_any(
+def with_any(
     regressors: Regressors,
     first: Hypothesis,
     best: LeadingVariants,

@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 
 from diagnose.dataset import match_initial_zeta
-from diagnose.hypotheses.exchange import exchanged_sets, look_alikes
+from diagnose.hypotheses.exchange import exchanged_sets
 from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import Screening, ScreeningResult
@@ -20,7 +20,14 @@ from tests.helpers.rig_datasets import dataset_with
 
 # On a wheel that only goes forward a pull and friction are one, and a lag of the drive is nearly
 # one of the instruments; a rise of the ground is none of these.
-CANDIDATES = ("horizontal_coulomb", "speed_lag", "drawbar", "measurement_filter", "surface_slope")
+CANDIDATES = (
+    "horizontal_coulomb",
+    "speed_lag",
+    "drawbar",
+    "measurement_filter",
+    "surface_slope",
+    "grouser_height",
+)
 TRUTH = (
     {"name": "horizontal_coulomb", "force": 6.0},
     {"name": "speed_lag", "lag": 0.15},
@@ -49,12 +56,15 @@ def wrong(regressors, pool):
     )
 
 
+def names_in_place(regressors, best, place, pool) -> list[str]:
+    """Names of what is tried in the place of one effect of a pair, in the order of the ranking."""
+    kept = {best.names[1 - place]}
+    by_place = exchanged_sets(regressors, best, [], pool)
+    return [name for each in by_place[place] for name in each.names if name not in kept]
+
+
 def test_friction_is_the_look_alike_of_a_pull(regressors, wrong, pool):
-    part = [each[:, :, 1] * wrong.coordinates[0] for each in wrong.columns]
-    (alike,) = look_alikes(regressors, wrong, [part], pool)
-    names = [each.variant.effect.about.name for each in alike]
-    assert names[0] == "horizontal_coulomb"
-    assert "surface_slope" not in names
+    assert names_in_place(regressors, wrong, 0, pool)[0] == "horizontal_coulomb"
 
 
 def test_beside_a_large_lag_a_pull_is_still_the_look_alike_of_friction(pool):
@@ -62,11 +72,10 @@ def test_beside_a_large_lag_a_pull_is_still_the_look_alike_of_friction(pool):
     of = {each.effect.about.name: each for each in regressors.variants}
     start = linear_start(regressors, [of["horizontal_coulomb"], of["speed_lag"]])
     pair = relinearize(regressors, refine(regressors, start, 2, pool), pool)
-    part = [each[:, :, 1] * pair.coordinates[0] for each in pair.columns]
-    (alike,) = look_alikes(regressors, pair, [part], pool)
-    assert alike[0].variant.effect.about.name == "drawbar"
-    # On a wheel that goes forward they are one; about the reference model it is 78 %.
-    assert alike[0].share > 0.99
+    pair = relinearize(regressors, refine(regressors, pair, 3, pool), pool)
+    # On a wheel that goes forward they are one. About the reference model the height of grousers
+    # makes up for more of it.
+    assert names_in_place(regressors, pair, 0, pool)[0] == "drawbar"
 
 
 def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
@@ -76,9 +85,8 @@ def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
     lag = next(each for each in found if each.names == ("drawbar", "speed_lag"))
     assert lag.proposed_step is not None
-    # It begins where it does what the filter did, not at its null; the pull stays as it was.
+    # It begins where it does what the filter did, not at its null.
     assert lag.model.free[1].value(lag.proposed_step[1][1]) == pytest.approx(0.15, rel=0.3)
-    assert lag.proposed_step[1][0] == 0
     moved = refine(regressors, lag, 3, pool)
     exact = refine(regressors, relinearize(regressors, moved, pool), 3, pool)
     assert exact.score > wrong.score
