@@ -27,25 +27,20 @@ class ExchangeSettings:
     """Numbers by which effects of a set are exchanged.
 
     Attributes:
-        max_deficit: Sets that were simulated already are not begun again where they are no further
-            behind the set in log score [-]; others may do better from another start.
+        max_known_deficit: Sets that were simulated already are not begun again where they are no
+            further behind the set in log score [-]; others may do better from another start.
+        max_deficit: Sets that a linear fit puts further behind it are not tried [-].
         max_alike: Effects tried in the place of one, at most.
-        max_alike_at_floor: The same where the set leaves no gap: there only what does as well is
-            looked for.
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
         rankings: Linear fits rank what may take an effect's place once by each of these.
     """
 
-    max_deficit: float = 30.0
+    max_known_deficit: float = 30.0
+    max_deficit: float = 50.0
     max_alike: int = 6
-    max_alike_at_floor: int = 4
     max_continued: int = 2
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS[-2:]
-
-    def where(self, leaves_gap: bool) -> "ExchangeSettings":
-        """The numbers for a set that leaves a gap, or none."""
-        return self if leaves_gap else replace(self, max_alike=self.max_alike_at_floor)
 
 
 DEFAULT_EXCHANGE = ExchangeSettings()
@@ -73,8 +68,9 @@ def exchanged_sets(
     Returns:
         By effect that is replaced.
     """
-    least = best.score - settings.max_deficit
-    tried = [frozenset(each.names) for each in known if each.score > least]
+    least = best.score - settings.max_known_deficit
+    tried = {frozenset(each.names) for each in known if each.score > least}
+    tried.add(frozenset(best.names))
     places = range(len(best.model.effects))
     rests = [_without(best, place) for place in places]
     by_rest = pool.map_outer(
@@ -91,8 +87,8 @@ def exchanged_sets(
         )
         starts: dict[frozenset[str], SetCandidate] = {}
         for each in taking_turns([sorted(order, key=lambda e: -e.score) for order in orders]):
-            is_new = not (each.names == frozenset(best.names) or each.names in tried)
-            if is_new and not each.has_two_forms:
+            may_do_as_well = each.score > best.score - settings.max_deficit
+            if may_do_as_well and each.names not in tried and not each.has_two_forms:
                 starts.setdefault(each.names, each)
         found.append([each.build() for each in [*starts.values()][: settings.max_alike]])
     return found

@@ -261,8 +261,7 @@ class Screening:
             known: Sets that were simulated already.
             limits: Numbers of the choice of larger sets.
         """
-        settings = self.settings
-        exchange = settings.exchange.where(self.leaves_gap(best))
+        settings, exchange = self.settings, self.settings.exchange
         by_place = exchanged_sets(self.regressors, best, known, self.pool, exchange)
         # What takes another's place has a long way to go.
         of_place = replace(limits, max_continued=exchange.max_continued, fresh_derivatives=True)
@@ -327,7 +326,10 @@ class Screening:
             by_size: Singles, pairs and larger sets, best first.
             place: Of the size among them, pairs or more.
         """
-        best, known = by_size[place][0], {frozenset(each.names) for each in by_size[place - 1]}
+        best = by_size[place][0]
+        # One that is far behind may have gone astray, on its way from elsewhere.
+        least = best.score - self.settings.hopeless_deficit
+        known = {frozenset(each.names) for each in by_size[place - 1] if each.score > least}
         missing = [
             index
             for index, name in enumerate(best.names)
@@ -337,15 +339,15 @@ class Screening:
 
         def without(index: int) -> Hypothesis:
             first = self.refine(without_effect(best, index), 1)
-            if first.score < best.score - self.settings.hopeless_deficit:
+            if first.score < least:
                 return first
             return self.refine(first, simulations - 1)
 
         kept = [each for each in self.pool.map_outer(without, missing) if each.is_simulated]
         # The others make up for an effect only as far as derivatives hold: what may lead gets
         # fresh ones.
-        least = by_size[place - 1][0].score - self.settings.min_set_gain
-        promising = [predicted_score(self.regressors, each, self.pool) > least for each in kept]
+        worth = by_size[place - 1][0].score - self.settings.min_set_gain
+        promising = [predicted_score(self.regressors, each, self.pool) > worth for each in kept]
         leading = self.finish([each for each, may in zip(kept, promising, strict=True) if may])
         rest = [each for each, may in zip(kept, promising, strict=True) if not may]
         by_size[place - 1] = best_of_each([*by_size[place - 1], *leading, *rest])
