@@ -121,6 +121,19 @@ def test_look_alikes_are_tried_in_the_part_of_a_set_that_does_as_well(regressors
     assert {"horizontal_coulomb", "speed_lag"} in tried
 
 
+def test_a_part_of_a_set_that_went_astray_on_its_way_is_tried_again(regressors, settled, pool):
+    pair, three = (
+        settled("drawbar", "speed_lag"),
+        settled("drawbar", "speed_lag", "surface_slope"),
+    )
+    astray = replace(pair, fit=replace(pair.fit, score=three.score - 1000))
+    by_size = [[settled("drawbar")], [astray], [three]]
+    Screening(regressors, pool).take_out(by_size, 2)
+    found = {frozenset(each.names): each.score for each in by_size[1]}
+    # The ground does not rise.
+    assert found[frozenset(pair.names)] > three.score - DEFAULT_SCREENING.min_set_gain
+
+
 def test_the_set_that_is_told_has_its_rivals_whichever_set_was_exchanged(regressors, settled, pool):
     told, none = settled("drawbar", "speed_lag"), linear_start(regressors, [])
     names = frozenset(told.names)
