@@ -329,7 +329,15 @@ def leading_beside(
     pool: RunPool,
     rankings: Sequence[Ranking],
 ) -> LeadingVariants:
-    """By ranking, the best variant of every other effect beside a base, and its linear fit."""
+    """By ranking, the best variant of every other effect beside a base, and its linear fit.
+
+    Args:
+        regressors: The runs.
+        first: The base.
+        miss: Mean square that is left in each block without them, shape (blocks,).
+        pool: Threads.
+        rankings: Numbers of the linear fits.
+    """
     of_run = first.columns, first.residual, first.log_zeta
     matrices = regressors.gram_matrices_beside_all(*of_run, pool)
     others = [v for v in regressors.variants if v.effect.about.name not in first.names]
@@ -348,7 +356,12 @@ def with_any(
 ) -> list[list[SetCandidate]]:
     """A base with any other effect from its null, by each of the rankings.
 
-    `best` are by the regressors' responses; `given` ones take the place of these.
+    Args:
+        regressors: The runs.
+        first: The base.
+        best: The other effects' best variants, by responses about the reference model.
+        miss, pool, rankings: As for `leading_beside`.
+        given: Responses that take the place of those.
     """
     exact = {name: responses for name, (_, responses) in given.items()}
     if given:
