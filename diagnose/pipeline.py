@@ -13,7 +13,7 @@ from diagnose.checks.outlier_runs import (
     outliers_by_zeta,
 )
 from diagnose.dataset import RigDataset, with_step_errors_of, without_step_errors
-from diagnose.gap.budget import ChannelBudget, gap_budget
+from diagnose.gap.budget import ChannelBudget, doubted_weights, gap_budget
 from diagnose.gap.cross_validation import HeldOutPrediction, at_mean_sinkage, predict_held_out
 from diagnose.gap.discretization_error import (
     beside_plates,
@@ -182,9 +182,10 @@ class _Diagnosing:
             advice = next_run(dataset, chosen, competing, gap.floors, self.pool, settings.next_run)
         is_listed = selected is gap.selected
         errors = standard_errors(found.regressors, chosen, self.pool, settings.standard_error)
+        budget = self.budget(weighed, gap, errors)
         return Diagnosis(
             verdict=reported_names(weighed.verdict),
-            weights=weight_by_name(weighed.share),
+            weights=doubted_weights(weight_by_name(weighed.share), budget, settings.budget),
             groups=[reported_names(group) for group in weighed.groups],
             selected=selected,
             parameters=parameter_estimates(chosen, errors) if chosen.names and is_listed else {},
@@ -210,7 +211,7 @@ class _Diagnosing:
                 if weighed.verdict == chosen.names and is_listed
                 else []
             ),
-            budget=self.budget(weighed, gap, errors),
+            budget=budget,
             one_zeta_gap=one_zeta,
             zeta_shares=zeta_shares(found.regressors),
         )

@@ -34,9 +34,13 @@ BUDGET_MATCH = ZetaMatchSettings(min_step=2e-4)
 
 @dataclass(frozen=True)
 class BudgetSettings:
-    """Numbers of a budget's intervals.
+    """Numbers of a budget.
 
     Attributes:
+        min_sure_size: An effect is sure only if it makes up for more than this many times what is
+            left of some channel, where a gap is left [-].
+        most_doubted: Weight of others at most [-]: of 18 such names over 0.8 in six campaigns of
+            fresh sets 13 were right (docs/results/blind.md).
         draws: Draws of conditions and of the effects' numbers.
         probability: Of an interval [-].
         seed: Of the draws: fixed, so that the same runs give the same intervals.
@@ -44,6 +48,8 @@ class BudgetSettings:
             micrometres, a tenth of the noise.
     """
 
+    min_sure_size: float = 2.0
+    most_doubted: float = 0.7
     draws: int = 200
     probability: float = 0.9
     seed: int = 0
@@ -109,6 +115,34 @@ class ChannelBudget:
             "remainder": self.remainder,
             "chance": min(self.floor, self.before) * MM_PER_M,
         }
+
+
+def doubted_weights(
+    weights: Mapping[str, float],
+    budget: Mapping[str, ChannelBudget],
+    settings: BudgetSettings = DEFAULT_BUDGET,
+) -> dict[str, float]:
+    """Weights by which no effect is sure that does little beside the gap that is left.
+
+    What a model lacks is never quite of the form of a listed effect. Where a gap is left, something
+    else acts, and an effect that is not much larger may stand for a part of it.
+
+    Args:
+        weights: By name.
+        budget: By channel, of the effects of the verdict.
+        settings: Numbers of the doubt.
+
+    Returns:
+        Heaviest first.
+    """
+    found = dict(weights)
+    if any(is_reducible(each.after, each.floor) for each in budget.values()):
+        divided = [each for each in budget.values() if each.is_reducible]
+        for name in {name for each in divided for name in each.effects}:
+            beside = max(abs(e.effects[name].size) / max(e.after, e.floor) for e in divided)
+            if name in found and beside < settings.min_sure_size:
+                found[name] = min(found[name], settings.most_doubted)
+    return dict(sorted(found.items(), key=lambda each: -each[1]))
 
 
 Budget = Mapping[str, ChannelBudget]

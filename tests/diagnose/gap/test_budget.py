@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnose.gap.budget import gap_budget, shapley_values
+from diagnose.gap.budget import (
+    BudgetShare,
+    ChannelBudget,
+    doubted_weights,
+    gap_budget,
+    shapley_values,
+)
 from diagnose.gap.cross_validation import HeldOutPrediction
 from diagnose.gap.one_zeta import predicted_zetas
 
@@ -164,3 +170,28 @@ def test_a_condition_is_predicted_by_the_others():
     assert found[:2] == pytest.approx([zetas[2:].mean()] * 2)
     assert found[3] == pytest.approx(zetas[:3].mean())
     assert predicted_zetas(zetas, [[0, 1, 2, 3]]) == pytest.approx([zetas.mean()] * 4)
+
+
+def channel_budget(before: float, after: float, sizes: dict[str, float]) -> ChannelBudget:
+    """Budget of a channel with a floor of one."""
+    excess = before - 1
+    parts = {
+        name: BudgetShare(size / excess, (size / excess,) * 2, size) for name, size in sizes.items()
+    }
+    return ChannelBudget(before, after, 1.0, parts, (after - 1) / excess)
+
+
+def test_an_effect_that_does_little_beside_what_is_left_is_not_sure():
+    weights = {"backlash": 0.99, "heap": 0.98, "imbalance": 0.97, "unknown": 0.9, "drawbar": 0.3}
+    x = channel_budget(100.0, 5.0, {"backlash": 90.0, "heap": 3.0, "imbalance": -1.0})
+    z = channel_budget(9.0, 1.0, {"backlash": 0.0, "heap": 0.5, "imbalance": 6.0})
+    found = doubted_weights(weights, {"x": x, "z": z})
+    # The imbalance does little in x, where a gap is left, and nearly all in z.
+    assert found == {**weights, "heap": 0.7}
+    assert list(found) == ["backlash", "imbalance", "unknown", "heap", "drawbar"]
+    # A weight below that stays as it is, and where no gap is left small effects are sure.
+    faint = {**weights, "heap": 0.2}
+    assert doubted_weights(faint, {"x": x, "z": z}) == faint
+    closed = channel_budget(100.0, 1.2, {"backlash": 90.0, "heap": 2.0, "imbalance": -1.0})
+    assert doubted_weights(weights, {"x": closed, "z": z}) == weights
+    assert doubted_weights(weights, {}) == weights
