@@ -182,10 +182,12 @@ class _Diagnosing:
             advice = next_run(dataset, chosen, competing, gap.floors, self.pool, settings.next_run)
         is_listed = selected is gap.selected
         errors = standard_errors(found.regressors, chosen, self.pool, settings.standard_error)
-        budget = self.budget(weighed, gap, errors)
+        budget, by_name = self.budget(weighed, gap, errors), weight_by_name(weighed.share)
+        if is_listed:  # A correction in an effect's place leaves less than the budget's set.
+            by_name = doubted_weights(by_name, budget, settings.budget)
         return Diagnosis(
             verdict=reported_names(weighed.verdict),
-            weights=doubted_weights(weight_by_name(weighed.share), budget, settings.budget),
+            weights=by_name,
             groups=[reported_names(group) for group in weighed.groups],
             selected=selected,
             parameters=parameter_estimates(chosen, errors) if chosen.names and is_listed else {},
