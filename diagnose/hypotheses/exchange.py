@@ -29,8 +29,10 @@ class ExchangeSettings:
     Attributes:
         max_known_deficit: Sets that were simulated already are not begun again where they are no
             further behind the set in log score [-]; others may do better from another start.
-        max_deficit: Sets that a linear fit puts further behind it are not tried [-].
-        max_alike: Effects tried in the place of one, at most.
+        max_deficit: Beyond `min_alike` none is tried that a linear fit puts further behind it [-].
+        min_alike: Effects tried in the place of one in any case: where the other did much, a linear
+            fit puts one that does as well far behind.
+        max_alike: The same at most.
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
         rankings: Linear fits rank what may take an effect's place once by each of these.
@@ -38,6 +40,7 @@ class ExchangeSettings:
 
     max_known_deficit: float = 30.0
     max_deficit: float = 50.0
+    min_alike: int = 2
     max_alike: int = 6
     max_continued: int = 2
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS[-2:]
@@ -87,8 +90,9 @@ def exchanged_sets(
         )
         starts: dict[frozenset[str], SetCandidate] = {}
         for each in taking_turns([sorted(order, key=lambda e: -e.score) for order in orders]):
-            may_do_as_well = each.score > best.score - settings.max_deficit
-            if may_do_as_well and each.names not in tried and not each.has_two_forms:
+            is_near = each.score > best.score - settings.max_deficit
+            is_new = each.names not in tried and not each.has_two_forms
+            if is_new and (is_near or len(starts) < settings.min_alike):
                 starts.setdefault(each.names, each)
         found.append([each.build() for each in [*starts.values()][: settings.max_alike]])
     return found
