@@ -128,12 +128,12 @@ def doubted_weights(
     else acts, and an effect that is not much larger may stand for a part of it.
 
     Args:
-        weights: By name.
+        weights: By name [-].
         budget: By channel, of the effects of the verdict.
         settings: Numbers of the doubt.
 
     Returns:
-        Heaviest first.
+        By name [-], heaviest first.
     """
     found = dict(weights)
     if any(is_reducible(each.after, each.floor) for each in budget.values()):
