@@ -73,8 +73,8 @@ def test_beside_a_large_lag_a_pull_is_still_the_look_alike_of_friction(pool):
     start = linear_start(regressors, [of["horizontal_coulomb"], of["speed_lag"]])
     pair = relinearize(regressors, refine(regressors, start, 2, pool), pool)
     pair = relinearize(regressors, refine(regressors, pair, 3, pool), pool)
-    # On a wheel that goes forward they are one. By responses about the reference model a rise of the
-    # ground leads.
+    # On a wheel that goes forward they are one. By responses about the reference model alone a rise
+    # of the ground leads.
     assert names_in_place(regressors, pair, 0, pool)[0] == "drawbar"
 
 
