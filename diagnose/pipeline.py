@@ -58,6 +58,7 @@ from diagnose.selection.verdict import (
     hypothesis_behind,
     reassign_unknown,
     weight_by_name,
+    without,
 )
 from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
@@ -331,9 +332,7 @@ class _Diagnosing:
         """The weights without the verdict's set, which makes a channel worse."""
         dropped = weighed.verdict
         leading = [each for each in weighed.leading if each.names != dropped]
-        kept = {k: w for k, w in weighed.share.items() if k not in (dropped, (*dropped, UNKNOWN))}
-        share = {names: weight / sum(kept.values()) for names, weight in kept.items()}
-        return self.decided(replace(weighed, leading=leading), share)
+        return self.decided(replace(weighed, leading=leading), without(weighed.share, dropped))
 
     def weights(
         self,

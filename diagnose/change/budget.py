@@ -102,12 +102,16 @@ def mean_of(
 
 def _noise_power(differences: Differences, channel: str) -> float:
     """Mean square of the white noise of a difference of means."""
-    found = []
+    found, dataset = [], differences.dataset
     for clock in differences.clocks:
         power = 0.0
         for side in (clock.condition.before, clock.condition.now):
-            seen = [differences.dataset.runs[run].observation.by_channel() for run in side]
-            sigmas = [float(each[channel][1]) for each in seen if channel in each]
-            power += sum(sigma**2 for sigma in sigmas) / max(len(side), 1) ** 2
+            seen = {run: dataset.runs[run].observation.by_channel() for run in side}
+            noise = [
+                dataset.holds[run].noise(channel, float(each[channel][1]))
+                for run, each in seen.items()
+                if channel in each
+            ]
+            power += sum(each**2 for each in noise) / max(len(side), 1) ** 2
         found += [power] * len(clock.time)
     return float(np.mean(found))

@@ -83,6 +83,11 @@ def diagnose(
     from diagnose.api import effects_among
     from drftjax.commands.progress import progress_line
 
+    if against is not None and bed != "prepared":
+        raise InputError(
+            f"--bed {bed} says nothing with --against: a comparison lets zeta differ "
+            "from run to run by what repeats show; leave one of the two out"
+        )
     require_picture(picture, [*runs, *([] if against is None else [against])])
     chosen = effects_among(_names(effects))
     console = Console()

@@ -181,6 +181,9 @@ def gap_budget(
     for index, channel in enumerate(dataset.channels):
         products = np.array([_products(dataset, group, index, after, parts) for group in groups])
         duration = np.array([_duration(dataset, group, index, before) for group in groups])
+        # In the order of what they show: draws must not depend on how files are named.
+        order = np.lexsort(products.reshape(len(groups), -1).T)
+        products, duration = products[order], duration[order]
         whole = products.sum(axis=0) / (duration.sum() or 1.0)
         floor = floors[channel]
         gap, left, sizes = _divided(whole, floor)
@@ -253,7 +256,8 @@ def contributions(
         ]
         parts = np.nan_to_num(np.array(found))
         size = (parts**2).sum(axis=2, keepdims=True)
-        share = size / np.maximum(size.sum(axis=0), 1e-300)
+        whole = size.sum(axis=0)
+        share = np.divide(size, whole, out=np.full_like(size, 1 / count), where=whole > 0)
         return parts + share * (gap - parts.sum(axis=0))
 
     return dataset.map(pool, of)

@@ -88,13 +88,18 @@ def _noise_powers(
     """Power of the instrument's white noise in each run that has the channel.
 
     With few samples a second the wheel's own motion is counted as noise of the readings, and less
-    of it as noise of the residuals: the smallest estimate counts.
+    of it as noise of the residuals: the smallest estimate counts. What holds a free carriage is an
+    average, which scatters by less than its readings, and not from sample to sample.
     """
     index = dataset.channels.index(channel)
     powers = []
     for run, each in enumerate(dataset.runs):
         known = each.observation.by_channel()
         if channel in known:
-            left = (white_noise(residual[run][index]) for residual in residuals)
-            powers.append(max(min(known[channel][1], *left), SMALLEST_NOISE[channel]) ** 2)
+            hold, sigma = dataset.holds[run], float(known[channel][1])
+            if channel in hold.masses:
+                noise = hold.noise(channel, sigma)
+            else:
+                noise = min(sigma, *(white_noise(each[run][index]) for each in residuals))
+            powers.append(max(noise, SMALLEST_NOISE[channel]) ** 2)
     return powers

@@ -68,7 +68,7 @@ def repeats(
     for condition in group_by_condition(dataset.runs, tolerances):
         of_condition: list[list[int]] = []
         for run in condition:
-            if channel not in dataset.runs[run].observation.channels:
+            if not _is_compared(dataset, run, channel):
                 continue
             for group in of_condition:
                 starts = not from_one_start or _equal_starts(dataset, group[0], run, tolerances)
@@ -124,6 +124,12 @@ def lost_noise_power(dataset: RigDataset, pair: tuple[int, int], channel: str) -
     loss = interpolation_loss(other_time, time[is_recorded(other_time, time)])
     _, noise = dataset.runs[other].observation.by_channel()[channel]
     return loss * float(noise) ** 2
+
+
+def _is_compared(dataset: RigDataset, run: int, channel: str) -> bool:
+    """Tell whether a run has a channel; of a very short one no force is compared."""
+    recording = dataset.recording(run)[dataset.channels.index(channel)]
+    return bool(np.isfinite(recording).all())
 
 
 def _equal_starts(dataset: RigDataset, one: int, other: int, tolerances: RepeatTolerances) -> bool:

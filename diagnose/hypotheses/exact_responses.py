@@ -138,9 +138,8 @@ def _start(whole: AugmentedModel, here: Hypothesis, variants: Sequence[ShapeVari
     for free, value in zip(here.model.free, here.coordinates, strict=True):
         start[rows[here.model.effects[free.index], free.field]] = value
     for each in variants:
-        if each.effect in whole.effects:
-            for name, value in zip(shapes(each.effect), each.shapes, strict=True):
-                start[rows[each.effect, name]] = np.log(value)
+        for name, value in zip(shapes(each.effect), each.shapes, strict=True):
+            start[rows[each.effect, name]] = np.log(value)
     return start
 
 

@@ -205,10 +205,18 @@ def top_ranked(ranked: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
     return found
 
 
+def best_first(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses in the order of their scores; those that no simulation could follow come last.
+
+    What a linear fit promises of these is no score that others could be held against.
+    """
+    return sorted(hypotheses, key=lambda each: (not each.is_simulated, -each.score))
+
+
 def best_of_each(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The best of those with the same effects, best first: one set is weighed once."""
     found: dict[frozenset[str], Hypothesis] = {}
-    for each in sorted(hypotheses, key=lambda each: -each.score):
+    for each in best_first(hypotheses):
         found.setdefault(frozenset(each.names), each)
     return list(found.values())
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnose.dataset import step_errors, with_step_errors
-from diagnose.hypotheses.hypothesis import Hypothesis
+from diagnose.hypotheses.hypothesis import Hypothesis, best_first
 from diagnose.hypotheses.refinement import simulated_fit
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
@@ -50,7 +50,7 @@ def without_leading_step_errors(
     changes = []
     for run, error in enumerate(errors):
         before = np.asarray(known.observations[run].step_error)[:, : error.shape[1]]
-        change = (before - error)[:, known.counts(run)]
+        change = known.holds[run].of_simulation((before - error)[:, known.counts(run)])
         if _is_far_worse(regressors, best.residual[run], change):
             errors[run], change = before, np.zeros_like(change)
         changes.append(change)
@@ -69,7 +69,7 @@ def without_leading_step_errors(
         return replace(each, residual=residual, fit=simulated_fit(there, each, *at, pool))
 
     changed_sizes = [pool.map_outer(changed, several) for several in by_size]
-    return there, [sorted(several, key=lambda each: -each.score) for several in changed_sizes]
+    return there, [best_first(several) for several in changed_sizes]
 
 
 def _is_far_worse(regressors: Regressors, residual: np.ndarray, change: np.ndarray) -> bool:

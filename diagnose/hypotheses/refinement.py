@@ -98,7 +98,8 @@ def refine(
         coordinates = start.coordinates + start.proposed_step[1]
     step_share, is_detour = 1.0, False
     for turn in range(max_simulations):
-        inside = np.minimum(coordinates, coordinate_bounds(here, "most"))
+        bounds = coordinate_bounds(here, "least"), coordinate_bounds(here, "most")
+        inside = np.clip(coordinates, *bounds)
         moved = _simulate_with_update(regressors, here, zeta, inside, pool, settings)
         leading = not start.is_simulated and turn < len(settings.floor_shares)
         floor_share = settings.floor_shares[turn] if leading else 0.0

@@ -14,6 +14,7 @@ from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.hypotheses.exchange import exchanged_sets
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
+    best_first,
     best_of_each,
     linear_start,
     top_ranked,
@@ -412,7 +413,7 @@ class Screening:
             best = max([best_known, *(other.score for other in done)])
             hopeless = each.is_simulated and predicted < best - settings.hopeless_deficit
             done.append(each if hopeless else self.finish_one(each, best))
-        return sorted(done + hypotheses[settings.max_continued :], key=lambda each: -each.score)
+        return best_first(done + hypotheses[settings.max_continued :])
 
     def finish_one(self, here: Hypothesis, best_score: float) -> Hypothesis:
         """Refine a hypothesis with fresh derivatives, round by round, while that gains.

@@ -46,16 +46,21 @@ def with_hold_responses(
     rows = [dataset.channels.index(each) for each in masses]
     held = np.array(columns)
     held[rows] = 0.0
+    known = np.isfinite(plain)
     for variant in variants:
         if not _holds_or_reads(variant):
             continue
         model, null = _at_null(variant)
         strengths = [place for place, f in enumerate(model.free) if f.scale is not None]
         for place, column in zip(strengths, variant.columns, strict=True):
-            at = null.copy()
-            at[place] = 1.0
-            there = dataset.prediction(model, run, log_zeta, at)
-            held[rows, :, 1 + column] = (there - plain)[rows]
+            # Backward, where forward the wheel sinks past its plates; nothing, where it does there.
+            for sense in (1.0, -1.0):
+                at = null.copy()
+                at[place] = sense
+                change = dataset.prediction(model, run, log_zeta, at) - plain
+                if np.isfinite(change[known]).all():
+                    held[rows, :, 1 + column] = sense * change[rows]
+                    break
     return held
 
 

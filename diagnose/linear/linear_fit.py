@@ -259,6 +259,8 @@ def fit_each(
         left, factor = mean_square[fit] + response_error[fit], float(request.inflation[fit])
         spread = float(variance[fit])
         score = log_score(matrices.blocks, count, left, spread, runs, factor, settings)
+        # Responses beyond the range of numbers say nothing, and must not upset an order.
+        score = score if np.isfinite(score) else -np.inf
         found.append(LinearFit(score, coefficients[fit], change[fit], mean_square[fit], spread))
     return found
 
@@ -321,12 +323,14 @@ class _Problem:
         scaled = normal / (size[:, :, None] * size[:, None, :]) + 1e-10 * np.eye(right.shape[1])
         solution = np.linalg.solve(scaled, (right / size)[..., None])[..., 0] / size
         p = self.precision.shape[1]
-        low = solution[:, :p] < self.lower
-        if (again := low.any(axis=1)).any():
-            # Coefficients below their bound stay at it, and the others are solved for again.
-            held = np.pad(low[again], [(0, 0), (0, right.shape[1] - p)])
+        stay = np.zeros(self.precision.shape, bool)
+        # Coefficients below their bound stay at it, and the others are solved for again, by which
+        # others may come below theirs.
+        while (low := solution[:, :p] < self.lower).any():
+            stay, again = stay | low, low.any(axis=1)
+            held = np.pad(stay[again], [(0, 0), (0, right.shape[1] - p)])
             bound = np.zeros(held.shape)
-            bound[:, :p] = np.where(low, self.lower, 0.0)[again]
+            bound[:, :p] = np.where(stay, self.lower, 0.0)[again]
             left = right[again] - (normal[again] @ bound[..., None])[..., 0]
             inner = np.where(held[:, :, None] | held[:, None, :], 0.0, scaled[again])
             inner += held[:, :, None] * np.eye(right.shape[1])

@@ -100,6 +100,20 @@ class CarriageHold:
             held[self.channels.index(force)] = self._averaged(values[self.channels.index(force)])
         return held
 
+    def noise(self, channel: str, sigma: float) -> float:
+        """White noise of a channel as it is compared [m, N, N m].
+
+        That of the motion adds some mN to a force and is left out.
+
+        Args:
+            channel: Name of the channel.
+            sigma: White noise of its readings, likewise.
+        """
+        if channel not in self.masses or len(self.time) < 2:
+            return sigma
+        weight = _weights(float(np.median(np.diff(self.time))))
+        return sigma * float(np.sqrt((weight**2).sum()))
+
     def _averaged(
         self, force: np.ndarray, mass: float = 0.0, motion: np.ndarray | None = None
     ) -> np.ndarray:
@@ -107,15 +121,13 @@ class CarriageHold:
         if len(self.time) < 2:
             return np.full_like(force, np.nan)
         interval = float(np.median(np.diff(self.time)))
-        half = max(1, round(HALF_WINDOW / interval))
+        weight = _weights(interval)
         first, last = (round(each / interval) for each in self.time[[0, -1]])
         even = interval * np.arange(first, last + 1)
         # An average reaches so far, and a second difference of averages by two further.
-        edge = half + 2
+        edge = len(weight) // 2 + 2
         if len(even) <= 2 * edge:
             return np.full_like(force, np.nan)
-        weight = (1 - (np.arange(-half, half + 1) / (half + 1)) ** 2) ** 2
-        weight /= weight.sum()
 
         def average(rows: np.ndarray) -> np.ndarray:
             evenly = rows_at(self.time, rows, even)
@@ -130,10 +142,19 @@ class CarriageHold:
         return rows_at(even, whole[inner], self.time)
 
 
+def _weights(interval: float) -> np.ndarray:
+    """Weights of an average over readings so far apart [s]; they sum to one."""
+    half = max(1, round(HALF_WINDOW / interval))
+    weight = (1 - (np.arange(-half, half + 1) / (half + 1)) ** 2) ** 2
+    return weight / weight.sum()
+
+
 def holding_forces(table: Array, channels: tuple[str, ...], trial: Trial) -> Array:
     """Channels of a run; the forces on a free carriage less what moves its masses.
 
     A step's force is that of its change of speed, so that what is left is what holds the carriage.
+    Where a row takes n steps, its force is that of the last one: the mean of all, which changed the
+    speed, is earlier by (n - 1) / 2 of them.
 
     Args:
         table: Channels, then `SPEEDS` [m, N, N m, m/s], shape (channels + 2, rows).
@@ -144,13 +165,14 @@ def holding_forces(table: Array, channels: tuple[str, ...], trial: Trial) -> Arr
         Shape (channels, rows).
     """
     rig, interval = trial.simulator.rig, trial.every * trial.step
-    rows = table[: len(channels)]
+    rows, steps = table[: len(channels)], trial.every * trial.parts
     if not isinstance(rig.carriage, FreeCarriage):
         return rows
     for (force, (_, mass)), speed in zip(BESIDE.items(), table[-2:], strict=True):
         if force in channels:
             place = channels.index(force)
-            held = rows[place, 1:] - getattr(rig, mass) * jnp.diff(speed) / interval
+            mean = rows[place, 1:] - (steps - 1) / (2 * steps) * jnp.diff(rows[place])
+            held = mean - getattr(rig, mass) * jnp.diff(speed) / interval
             first = jnp.ceil(LET_GO / interval).astype(int)
             taken = jnp.maximum(jnp.arange(rows.shape[1]) - 1, first)
             rows = rows.at[place].set(held[taken])

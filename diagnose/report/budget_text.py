@@ -38,13 +38,13 @@ DEFAULT_BUDGET_TEXT = BudgetTextSettings()
 def budget_columns(found: Diagnosis) -> tuple[str, ...]:
     """Headings: what makes the gap, and size and share by channel."""
     channels = (head for c in found.budget for head in (f"{c} [{SHOWN[c][0]}]", "share (90 %)"))
-    return ("where the gap comes from", *channels)
+    return ("the gap comes from", *channels)
 
 
 def budget_rows(found: Diagnosis) -> list[tuple[str, ...]]:
     """Rows: the gap, each effect of the verdict, the remainder, chance."""
     budgets = list(found.budget.items())
-    rows = [("the reference model's gap", *_cells(budgets, lambda b: (b.before, "")))]
+    rows = [("whole gap", *_cells(budgets, lambda b: (b.before, "")))]
     for name in dict.fromkeys(name for _, each in budgets for name in each.effects):
         rows.append(
             (" or ".join(found.group_of(name)), *_cells(budgets, lambda b, n=name: _effect(b, n)))
@@ -87,7 +87,7 @@ def budget_table(found: Diagnosis) -> WholeWordTable:
     """Table of the budget."""
     table = WholeWordTable()
     for number, name in enumerate(budget_columns(found)):
-        table.add_column(name, justify="right" if number else "left")
+        table.add_column(escape(name), justify="right" if number else "left")
     for row in budget_rows(found):
         table.add_row(*map(escape, row))
     return table

@@ -211,6 +211,22 @@ def believing_listed(
     return believed
 
 
+def without(share: Weights, dropped: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+    """Weights without a set of effects, alone and beside `unknown`.
+
+    `unknown` alone has all of it where those of the others are too small for a number.
+
+    Args:
+        share: Weights.
+        dropped: Names of the set.
+    """
+    kept = {k: w for k, w in share.items() if k not in (dropped, (*dropped, UNKNOWN))}
+    if not any(kept.values()):
+        kept[(UNKNOWN,)] = 1.0
+    total = sum(kept.values())
+    return {names: weight / total for names, weight in kept.items()}
+
+
 def weight_by_name(share: Weights) -> dict[str, float]:
     """Weight of each name, summed over the explanations it is part of, heaviest first."""
     total: dict[str, float] = {}

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from rich.markup import escape
+
 if TYPE_CHECKING:
     from drftjax.common.rich_text import WholeWordTable
     from identify.crosscheck.comparison import Comparison
@@ -25,8 +27,6 @@ def tables(result: "CrossCheck") -> "list[WholeWordTable]":
 
 
 def _table(title: str, *columns: str) -> "WholeWordTable":
-    from rich.markup import escape
-
     from drftjax.common.rich_text import WholeWordTable
 
     table = WholeWordTable(title=title, title_justify="left")
@@ -59,9 +59,9 @@ def _beside(result: "CrossCheck") -> "WholeWordTable":
     )
     for run in result.runs:
         z = [_number(run.rmse[which]["z"] * MM, 3) for which in ("tuner", "offline")]
-        table.add_row(run.name, "replayed", *_likeness(run.tuner), *z)
+        table.add_row(escape(run.name), "replayed", *_likeness(run.tuner), *z)
         if run.online is not None:
-            table.add_row(run.name, "logged", *_likeness(run.online), "-", z[1])
+            table.add_row(escape(run.name), "logged", *_likeness(run.online), "-", z[1])
     return table
 
 
@@ -74,7 +74,7 @@ def _ticks(result: "CrossCheck") -> "WholeWordTable":
     for run in result.runs:
         each = run.tuner
         shares = (each.up, each.down, each.idle, each.slew_limit, each.dead_band)
-        table.add_row(run.name, *(f"{100 * share:.1f}" for share in shares))
+        table.add_row(escape(run.name), *(f"{100 * share:.1f}" for share in shares))
     return table
 
 
@@ -82,7 +82,7 @@ def _truth(result: "CrossCheck") -> "WholeWordTable":
     table = _table("against the true zeta(t), RMS", "run", "tuner", "offline", "closer")
     for run in result.runs:
         far = (run.tuner.from_truth, run.offline_from_truth)
-        table.add_row(run.name, *(_number(value, 5) for value in far), run.closer or "-")
+        table.add_row(escape(run.name), *(_number(value, 5) for value in far), run.closer or "-")
     return table
 
 

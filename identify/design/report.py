@@ -3,6 +3,8 @@
 import copy
 from typing import TYPE_CHECKING
 
+from rich.markup import escape
+
 if TYPE_CHECKING:
     from drftjax.common.rich_text import WholeWordTable
     from identify.design.design import Design
@@ -22,7 +24,8 @@ def design_table(result: "Design") -> "WholeWordTable":
 
     unit = "" if result.unit == "-" else f" [{result.unit}]"
     beside = ", ".join(result.nuisances) or "nothing else unknown"
-    table = WholeWordTable(title=f"standard error of {result.parameter}{unit}, beside {beside}")
+    title = escape(f"standard error of {result.parameter}{unit}, beside {beside}")
+    table = WholeWordTable(title=title)
     table.add_column("run")
     table.add_column("standard error", justify="right")
     table.add_column("of the value", justify="right")
@@ -33,7 +36,7 @@ def design_table(result: "Design") -> "WholeWordTable":
         factor = result.given.information.error / knows.error if math.isfinite(knows.error) else 0.0
         shift = knows.shift * result.model_error
         share = f"{knows.relative:.2%}" if math.isfinite(knows.relative) else "-"
-        table.add_row(name, f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
+        table.add_row(escape(name), f"{knows.error:.3g}", share, f"{factor:.3g}", f"{shift:.3g}")
 
     units = UNITS["measured"]
     for head, options in (("", [result.given]), ("best: ", [result.best])):

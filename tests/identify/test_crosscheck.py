@@ -163,11 +163,12 @@ def test_document_is_json(checked):
 
 
 def test_tables_are_whole_in_a_pipe_of_80_characters(checked):
-    named = [dataclasses.replace(run, name=f"{run.name}_on_loose_sand") for run in checked.runs]
+    named = [dataclasses.replace(run, name=f"{run.name}_on_[loose]_sand") for run in checked.runs]
     said = io.StringIO()
     for table in tables(dataclasses.replace(checked, runs=named)):
         Console(file=said, width=80).print(table)
     assert "…" not in said.getvalue()
+    assert "[loose]" in said.getvalue()
     assert "difference" in said.getvalue()
     assert "replayed" in said.getvalue()
     assert max(map(len, said.getvalue().splitlines())) <= 80

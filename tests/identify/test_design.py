@@ -200,7 +200,9 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
     assert found.best.information.error == min(
         each.information.error for each in (*found.found, *found.scan)
     )
-    assert "standard error" in found.summary()
+    # What a terminal would take for a tag of its own.
+    of_length = dataclasses.replace(found, unit="m")
+    assert "standard error of lambda [m]" in of_length.summary()
     assert design_document(found)["schema"] == "drft-design"
     origin = command_provenance("design", [PAPER])
     path, numbers, _ = _write(found, tmp_path / "design", origin)

@@ -312,12 +312,13 @@ def _solve(
     # A slight ridge keeps columns apart that all but coincide.
     scaled = matrix / np.outer(size, size) + 1e-10 * np.eye(len(right))
     found = np.linalg.solve(scaled, right / size) / size
-    bounded = np.clip(found[:width], prior.least, prior.most)
-    held = np.flatnonzero(bounded != found[:width])
-    if held.size:
-        free = np.setdiff1d(np.arange(len(right)), held)
-        found[held] = bounded[held]
-        rest = (right - matrix[:, held] @ bounded[held])[free]
-        inner = scaled[np.ix_(free, free)]
-        found[free] = np.linalg.solve(inner, rest / size[free]) / size[free]
+    held, least, most = np.zeros(len(right), bool), prior.least, prior.most
+    # Coefficients past a bound stay at it, and the others are solved for again, by which others
+    # may come past theirs.
+    while (past := (found[:width] < least) | (found[:width] > most)).any():
+        held[:width] |= past
+        found[:width] = np.clip(found[:width], least, most)
+        rest = (right - matrix[:, held] @ found[held])[~held]
+        inner = scaled[np.ix_(~held, ~held)]
+        found[~held] = np.linalg.solve(inner, rest / size[~held]) / size[~held]
     return found

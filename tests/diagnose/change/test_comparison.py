@@ -259,6 +259,13 @@ def test_a_missing_folder_is_refused(folder):
         drftjax.diagnose(folder / "now", EFFECTS, against=folder / "no_such_folder")
 
 
+def test_the_rule_of_the_bed_is_refused():
+    """It says nothing there, and would be ignored."""
+    told = CliRunner().invoke(app, ["now", "--against", "before", "--bed", "free"])
+    assert isinstance(told.exception, InputError)
+    assert "--bed free says nothing with --against" in str(told.exception)
+
+
 def test_settings_of_a_plain_diagnosis_are_refused(before):
     with pytest.raises(InputError, match="must be a DiagnosisSettings without against"):
         drftjax.diagnose(before, EFFECTS, settings=ChangeSettings())  # pyright: ignore

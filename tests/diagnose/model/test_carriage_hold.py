@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from diagnose.api import diagnose
-from diagnose.dataset import RigDataset
+from diagnose.dataset import RigDataset, step_errors
+from diagnose.gap.noise_floor import noise_floors
 from diagnose.model.augmented_model import AugmentedModel
-from diagnose.model.carriage_hold import HALF_WINDOW
+from diagnose.model.carriage_hold import HALF_WINDOW, LET_GO
 from drftjax.effects.rig import CableSpring, Drawbar, HorizontalCoulomb, VerticalLoad
 from drftjax.effects.terrain import SlipSoftening
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
@@ -20,6 +21,12 @@ LOAD_CELL = 0.5  # white noise of one reading [N]
 # Of 50 readings a second some 20 are averaged, and second differences of x and z, read to 20 um,
 # add 0.2 N at 14 and 19 kg; three of these.
 AVERAGED = 0.7
+# Grousers change the force within a row of 4 ms: 4 mN of it are left, and 12 mN where the last
+# step's force stands for all.
+OF_STEPS = 0.008
+# A hundred runs with a dozen averages each tell a scatter to a few hundredths; the noise of 200
+# readings is told to a tenth, and the wheel's own force adds to it.
+DRAWS, READINGS = 0.06, 0.3
 
 
 def rig(*effects: dict, vx: list[float] | None = None, channels=CHANNELS) -> RigDataset:
@@ -58,6 +65,29 @@ def test_a_simulation_tells_the_load_itself_on_any_sand(effect, size, pull, load
     for place, expected in ((2, pull), (3, load)):
         change = np.abs(changed[place] - plain[place]).max()
         assert change == pytest.approx(expected, abs=0.02)
+
+
+def test_a_row_of_several_steps_tells_the_same_load(pool):
+    """The force of its last step is later than the mean that changed the speed."""
+    found, model = rig(), AugmentedModel((Drawbar,))
+    at = model.null()
+    at[0] = model.free[0].coordinate(PULL)
+    (errors,) = step_errors(found, model, np.zeros(1), at, pool)
+    compared = found.holds[0].of_simulation(errors[:, found.counts(0)])
+    after = found.time(0) > LET_GO
+    assert np.sqrt(np.mean(compared[CHANNELS.index("fx"), after] ** 2)) < OF_STEPS
+
+
+def test_the_floor_of_a_load_cell_is_what_an_average_leaves_of_its_noise():
+    found, random = rig(), np.random.default_rng(2)
+    hold, still = found.holds[0], np.zeros((len(CHANNELS), len(found.time(0)), 100))
+    still[2] = random.normal(0.0, LOAD_CELL, still.shape[1:])
+    averaged = float(np.std(hold.of_readings(still)[2]))
+    assert hold.noise("fx", LOAD_CELL) == pytest.approx(averaged, rel=DRAWS)
+    residual = [found.prediction(AugmentedModel(), 0, 0.0, np.zeros(0)) - found.recording(0)]
+    own = dict.fromkeys(CHANNELS, 0.0)
+    floors, _ = noise_floors(found, residual, residual, own, lambda run: np.zeros(0))
+    assert floors["fx"] == pytest.approx(averaged, rel=READINGS)
 
 
 def test_friction_acts_while_the_carriage_moves_and_a_spring_by_its_way():

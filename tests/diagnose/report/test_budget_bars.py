@@ -1,8 +1,10 @@
-"""Bars of the budget: shares of the gap by their widths."""
+"""Budget of the gap: its bars by their widths, and its table."""
 
 import pytest
 
+from diagnose.report.budget_text import budget_table
 from diagnose.report.page import budget_bars
+from drftjax.common.rich_text import table_cells
 from tests.helpers.handmade_diagnosis import BEFORE, FLOORS, handmade_diagnosis
 
 ROUNDING = 1e-9
@@ -20,6 +22,12 @@ def test_parts_follow_on_each_other_and_are_as_wide_as_their_share_of_the_gap():
         assert [0.0, *ends[:-1]] == pytest.approx([part.start for part in bar.parts])
     names = [part.label for part in bars[0].parts]
     assert names[1:] == ["horizontal_coulomb or drawbar", "surface_slope", "unexplained"]
+
+
+def test_the_table_gives_the_unit_of_each_channel():
+    head = table_cells(budget_table(handmade_diagnosis(["a"], samples=10))).head
+    share = "share (90 %)"
+    assert head == ["the gap comes from", "x [mm]", share, "z [mm]", share]
 
 
 def test_a_diagnosis_without_a_budget_has_no_bars():

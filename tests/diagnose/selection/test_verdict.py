@@ -11,7 +11,20 @@ from diagnose.selection.verdict import (
     decide,
     explaining_candidates,
     weight_by_name,
+    without,
 )
+
+
+@pytest.mark.parametrize(
+    ("share", "left"),
+    [
+        ({(NONE,): 0.1, (UNKNOWN,): 0.1, ("drawbar",): 0.8}, {(NONE,): 0.5, (UNKNOWN,): 0.5}),
+        # Of long runs all other weights may be too small for a number.
+        ({(NONE,): 0.0, (UNKNOWN,): 0.0, ("drawbar",): 1.0}, {(NONE,): 0.0, (UNKNOWN,): 1.0}),
+    ],
+)
+def test_without_a_set_the_others_have_its_weight(share, left):
+    assert without(share, ("drawbar",)) == pytest.approx(left)
 
 
 def test_most_of_the_weight_of_unknown_goes_to_listed_sets_in_proportion():
