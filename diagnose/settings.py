@@ -1,4 +1,4 @@
-"""All decision numbers of a diagnosis, in one object that `drftjax.diagnose` takes.
+"""Decision numbers of a diagnosis, in one object that `drftjax.diagnose` takes.
 
     settings = DiagnosisSettings(weights=WeightSettings(log_prior_unknown=0.0))
     found = drftjax.diagnose("data/blind/demo", settings=settings)

@@ -216,8 +216,8 @@ def observe(
             sand's parameters, and what a rig does at rest is not the model's matter.
         compare: Channels that are compared, of those that the simulation predicts.
         carriage_forces: True to compare the forces on a free carriage, too. They say nothing of the
-            sand that its motion does not say, but how the carriage is held. Those of a run in the
-            loop are not.
+            sand that its motion does not say, but how the carriage is held, where x and z are
+            compared as well. Those of a run in the loop are not.
         settings: Smallest noise of each channel, and speeds that count as standing.
 
     Raises:
@@ -231,6 +231,9 @@ def observe(
     recorded = tuple(each for each in CHANNELS if getattr(run.measured, each) is not None)
     channels = tuple(each for each in wanted if each in recorded)
     vx = run.command.vx
+    if vx is None and not {"x", "z"} <= {*channels}:
+        # A force tells what holds a free carriage only beside its motion.
+        channels = tuple(each for each in channels if each not in ("fx", "fz"))
     # Torque alone does not say how deep a free wheel is.
     needed = tuple(each for each in wanted if vx is not None or each in ("x", "z"))
     if not needed:
@@ -253,7 +256,7 @@ def observe(
     counts = (time >= -rounding) & (time <= last + rounding)
     if not counts.any():
         raise InputError("nothing to compare; no sample lies within the commanded profile")
-    unused = tuple(each for each in recorded if each not in wanted)
+    unused = tuple(each for each in recorded if each not in channels)
     return Observation(time, channels, values, np.array(noise), counts, unused)
 
 

@@ -54,6 +54,13 @@ def test_forces_on_a_free_carriage_are_compared_where_that_is_asked_and_no_loop_
     assert looped.unused == ("fx",)
 
 
+def test_a_force_on_a_free_carriage_is_not_compared_without_its_motion():
+    log = recorded(setup_of(SLOW, 0.74), channels=("z", "fx", "fz"))
+    seen = prepare_run("run", log, carriage_forces=True).observation
+    assert seen.channels == ("z",)
+    assert seen.unused == ("fx", "fz")
+
+
 @pytest.mark.parametrize(
     ("compare", "why"),
     [
