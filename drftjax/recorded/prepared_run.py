@@ -10,6 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.recorded.observation import (
     DEFAULT_OBSERVATION,
@@ -26,6 +31,8 @@ from drftjax.runlog.record import CHANNELS, RunLog
 from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, add_fitted_effects
+from drftjax.simulation.simulator import Simulator
+from drftjax.simulation.statics import zeta_from_sinkage
 from drftjax.simulation.step_choice import StepChoice, StepSettings
 from drftjax.simulation.trial import Trial
 
@@ -99,7 +106,9 @@ def prepare_run(
             settings=settings,
         )
         setup.start = start_state(run, setup, start_settings, settings)
-        choice = choose_setup_step(setup, RECORDED_STEPS)
+        choice = choose_setup_step(standing_setup(setup), RECORDED_STEPS)
+        if choice is not None:
+            setup.integrator.step = choice.step
         # A row for every step, so that runs of any step share one program.
         trial = setup.trial(interval=0)
         return PreparedRun(
@@ -107,6 +116,35 @@ def prepare_run(
         )
     except InputError as problem:
         raise RunError(name, str(problem)) from None
+
+
+def standing_setup(setup: SetUp) -> SetUp:
+    """The set-up with the zeta at which the sand carries the wheel where the run starts.
+
+    The zeta of a run log may be a guess. Where it is too low the wheel falls first, which takes
+    steps a tenth as long as the run itself; every comparison moves zeta to what the run shows.
+
+    Args:
+        setup: Of a recorded run, with the start as recorded; not changed.
+
+    Returns:
+        The same where no zeta carries the wheel there, or zeta changes over time.
+    """
+    zeta = setup.terrain.zeta
+    standing = copy.deepcopy(setup)
+    if isinstance(zeta, float):
+        start = as_real(setup.start.sinkage), as_real(setup.start.angle)
+        carrying = float(_zeta_at(setup.trial().simulator, *start))
+        if setup.start.sinkage > 0 and 0 < carrying < np.inf:
+            standing.terrain.zeta = carrying
+    return standing
+
+
+@eqx.filter_jit
+def _zeta_at(
+    simulator: Simulator, sinkage: Float[Array, ""], angle: Float[Array, ""]
+) -> Float[Array, ""]:
+    return zeta_from_sinkage(simulator, sinkage, angle=angle)
 
 
 def setup_for(
