@@ -7,10 +7,11 @@ import pytest
 
 from drftjax.recorded.commanded_motion import MotionSettings, is_commanded_to_move
 from drftjax.recorded.observation import ObservationSettings, observe, white_noise
-from drftjax.recorded.prepared_run import prepare_run
+from drftjax.recorded.prepared_run import RECORDED_STEPS, prepare_run, standing_setup
 from drftjax.recorded.start_state import StartSettings
 from drftjax.runlog.record import Measured, RecordedCommand
-from tests.helpers.synthetic_runs import DEEPER, recorded, setup_of
+from drftjax.simulation.step_choice import choose_step
+from tests.helpers.synthetic_runs import BELIEVED_ZETA, DEEPER, recorded, setup_of
 
 RADIUS = 0.150
 # Second differences of 5,000 samples tell a standard deviation to 1.4 %; three times that.
@@ -22,6 +23,25 @@ LINE, CREEP = 20e-6, 5e-4
 CLOCK = 1e-9
 # It slows down after so much [m], within 0.2 s.
 SLOWING = 3e-4
+
+
+def test_a_guess_of_zeta_that_lets_the_wheel_fall_asks_for_no_shorter_steps():
+    """A fall at the start takes steps a tenth as long as the run, and no comparison makes it."""
+    setup = setup_of(([0.0, 0.5, 1.0, 3.0], [0.0, 0.0, 0.5, 0.5]), zeta=4.0)
+    run = recorded(setup)
+    falling = prepare_run("run", run)
+    assert falling.setup.terrain.zeta == BELIEVED_ZETA
+    told = prepare_run("run", run, zeta=4.0)
+    assert falling.step_choice is not None
+    assert told.step_choice is not None
+    assert falling.step_choice.step == told.step_choice.step
+    assert choose_step(falling.trial, RECORDED_STEPS).step < falling.step_choice.step
+
+
+def test_the_step_of_a_wheel_that_starts_above_the_sand_is_chosen_with_the_set_ups_zeta():
+    setup = setup_of()
+    setup.start.sinkage = -0.01
+    assert standing_setup(setup) == setup
 
 
 @pytest.mark.parametrize(("rest", "counted"), [(0.0, 1), (0.01, 1), (0.1, 6), (0.2, 11), (0.4, 11)])

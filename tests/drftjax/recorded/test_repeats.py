@@ -162,12 +162,24 @@ def test_the_order_of_the_runs_is_no_matter(whole, what):
     assert found == {frozenset([frozenset([0, 1]), frozenset([2])])}
 
 
-def pair_of(whole: PreparedRun, short: PreparedRun) -> SimpleNamespace:
+def dataset_of(runs: list[PreparedRun], channels=("x", "z"), times=None) -> SimpleNamespace:
+    """What a noise floor asks of a dataset, at all samples of its runs or at given times."""
+
+    def recording(run: int) -> np.ndarray:
+        known = runs[run].observation.by_channel()
+        return np.array([[0.0 if each in known else np.nan] for each in channels])
+
     return SimpleNamespace(
-        runs=[whole, short],
-        channels=("x", "z"),
-        time=lambda run: (whole, short)[run].observation.time,
+        runs=runs,
+        channels=channels,
+        time=lambda run: runs[run].observation.time if times is None else times[run],
+        recording=recording,
+        holds=[SimpleNamespace(masses={}) for _ in runs],
     )
+
+
+def pair_of(whole: PreparedRun, short: PreparedRun) -> SimpleNamespace:
+    return dataset_of([whole, short])
 
 
 def of_one_length(run: int) -> np.ndarray:
@@ -224,13 +236,13 @@ def test_repeats_of_a_channel_are_those_that_have_it(whole):
         ),
     )
     runs = [whole, lacking, whole]
-    case = SimpleNamespace(runs=runs, channels=("x", "z"), time=lambda run: whole.observation.time)
+    case = dataset_of(runs)
     residual = [np.zeros((2, len(whole.observation.time))) for _ in runs]
     residual[2][0] = 1e-3
     own = {"x": 0.0, "z": 0.0}
     floors, _ = noise_floors(case, residual, residual, own, of_one_length)  # pyright: ignore
     assert floors == pytest.approx({"x": 1e-3 / np.sqrt(2), "z": 0.0})
-    case.runs = [lacking, lacking, whole]
+    case = dataset_of([lacking, lacking, whole])
     _, how = noise_floors(case, residual, residual, own, of_one_length)  # pyright: ignore
     assert how.endswith("; that of x, which no repeats have, from fast scatter.")
 
@@ -250,7 +262,7 @@ def test_samples_that_one_of_two_repeats_lost_are_not_compared(whole, lost, shor
     time = whole.observation.time
     kept = [np.ones(len(time), bool), np.ones(len(time), bool)]
     kept[shorter] = lost(time)
-    case = SimpleNamespace(runs=[whole, whole], channels=("z",), time=lambda run: time[kept[run]])
+    case = dataset_of([whole, whole], ("z",), [time[each] for each in kept])
     residual = [1e-3 * np.sin(5 * time[each])[None] for each in kept]
     response = lambda run: np.ones((1, int(kept[run].sum())))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
@@ -273,7 +285,7 @@ def test_without_repeats_the_floor_is_the_noise_of_the_runs_that_have_the_channe
         noise=observation.noise[1:],
     )
     other = dataclasses.replace(changed(whole, rig_mass_z=25.0), observation=lacking)
-    case = SimpleNamespace(runs=[whole, other], channels=("x", "z"))
+    case = dataset_of([whole, other])
     # What is left scatters by more than the readings do.
     random = np.random.default_rng(0)
     scale = 10 * np.array(observation.noise)[:, None]
@@ -374,7 +386,7 @@ def test_a_diagnosis_loses_no_noise_between_samples_either(whole, delay):
     random = np.random.default_rng(5)
     observation = dataclasses.replace(whole.observation, noise=np.full(2, noise))
     told = dataclasses.replace(whole, observation=observation)
-    case = SimpleNamespace(runs=[told, told], channels=("z",), time=lambda run: time + run * delay)
+    case = dataset_of([told, told], ("z",), [time, time + delay])
     residual = [noise * random.standard_normal((1, len(time))) for _ in range(2)]
     response = lambda run: np.zeros((1, len(time)))  # noqa: E731
     floors, _ = noise_floors(case, residual, residual, {"z": 0.0}, response)  # pyright: ignore
