@@ -39,8 +39,8 @@ class BudgetSettings:
     Attributes:
         min_sure_size: An effect is sure only if it makes up for more than this many times what is
             left of some channel, where a gap is left [-].
-        most_doubted: Weight of others at most [-]: of 18 such names over 0.8 in six campaigns of
-            fresh sets 13 were right (docs/results/blind.md).
+        most_doubted: Weight of others at most [-]: about the share of such names that were right in
+            the fresh sets with which it was chosen (docs/results/blind.md).
         draws: Draws of conditions and of the effects' numbers.
         probability: Of an interval [-].
         seed: Of the draws: fixed, so that the same runs give the same intervals.
