@@ -23,7 +23,12 @@ from drftjax.recorded.observation import (
     observe,
 )
 from drftjax.recorded.refused_readings import drop_refused
-from drftjax.recorded.start_state import DEFAULT_START, StartSettings, start_state
+from drftjax.recorded.start_state import (
+    DEFAULT_START,
+    StartSettings,
+    settles_at_first,
+    start_state,
+)
 from drftjax.recorded.wheel_speed import WheelSpeed, measured_wheel_speed
 from drftjax.runlog.hdf5.api import read_run
 from drftjax.runlog.plausibility import require_upright
@@ -31,6 +36,7 @@ from drftjax.runlog.record import CHANNELS, RunLog
 from drftjax.setups.chosen_step import choose_setup_step
 from drftjax.setups.from_run import setup_from_run
 from drftjax.setups.setup import CommandSetUp, SetUp, add_fitted_effects
+from drftjax.setups.terrain_setup import ZetaKnots
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import zeta_from_sinkage
 from drftjax.simulation.step_choice import StepChoice, StepSettings
@@ -106,9 +112,12 @@ def prepare_run(
             settings=settings,
         )
         setup.start = start_state(run, setup, start_settings, settings)
-        choice = choose_setup_step(standing_setup(setup), RECORDED_STEPS)
-        if choice is not None:
-            setup.integrator.step = choice.step
+        choice = None
+        if setup.integrator.step is None:
+            settles = settles_at_first(run, setup.wheel.radius, start_settings, settings)
+            held = setup if settles else standing_setup(setup)
+            choice = choose_setup_step(held, RECORDED_STEPS)
+            setup.integrator.step = held.integrator.step
         # A row for every step, so that runs of any step share one program.
         trial = setup.trial(interval=0)
         return PreparedRun(
@@ -122,7 +131,7 @@ def standing_setup(setup: SetUp) -> SetUp:
     """The set-up with the zeta at which the sand carries the wheel where the run starts.
 
     The zeta of a run log may be a guess. Where it is too low the wheel falls first, which takes
-    steps a tenth as long as the run itself; every comparison moves zeta to what the run shows.
+    steps a quarter to a sixteenth as long; every comparison moves zeta to what the run shows.
 
     Args:
         setup: Of a recorded run, with the start as recorded; not changed.
@@ -130,9 +139,8 @@ def standing_setup(setup: SetUp) -> SetUp:
     Returns:
         The same where no zeta carries the wheel there, or zeta changes over time.
     """
-    zeta = setup.terrain.zeta
     standing = copy.deepcopy(setup)
-    if isinstance(zeta, float):
+    if not isinstance(setup.terrain.zeta, ZetaKnots):
         start = as_real(setup.start.sinkage), as_real(setup.start.angle)
         carrying = float(_zeta_at(setup.trial().simulator, *start))
         if setup.start.sinkage > 0 and 0 < carrying < np.inf:

@@ -59,13 +59,9 @@ def start_state(
         settings: Which samples count, and by which curve.
         noise: Resolution of the instruments.
     """
-    time = run.measured.time - run.command.time[0]
     rest = rest_duration(run, setup.wheel.radius, settings)
-    begun = time >= -noise.clock_rounding
-    first = time[begun][0]
-    # Of a wheel that sets off sooner, no more than its rest gives the start.
-    window = min(settings.window, rest) + noise.clock_rounding
-    early = begun & (time <= max(window, first))
+    time, early = _early_samples(run, rest, settings, noise)
+    begun, first = time >= -noise.clock_rounding, time[early][0]
     at_rest = early.sum() > 1 or rest < settings.window
     if _is_settling(time, run.measured, early, settings, noise):
         early = time == first
@@ -81,6 +77,32 @@ def start_state(
     if x is not None and at_rest:
         start.x = float(x[early].mean())
     return start
+
+
+def settles_at_first(
+    run: RunLog,
+    radius: float,
+    settings: StartSettings = DEFAULT_START,
+    noise: ObservationSettings = DEFAULT_OBSERVATION,
+) -> bool:
+    """True where a wheel that is commanded to rest moves by more than its instruments' noise.
+
+    Arguments as for `start_state`, with the rim radius [m].
+    """
+    rest = rest_duration(run, radius, settings)
+    time, early = _early_samples(run, rest, settings, noise)
+    return _is_settling(time, run.measured, early, settings, noise)
+
+
+def _early_samples(
+    run: RunLog, rest: float, settings: StartSettings, noise: ObservationSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times from the first command on [s], and which samples may give the start."""
+    time = run.measured.time - run.command.time[0]
+    begun = time >= -noise.clock_rounding
+    # Of a wheel that sets off sooner, no more than its rest gives the start.
+    window = min(settings.window, rest) + noise.clock_rounding
+    return time, begun & (time <= max(window, time[begun][0]))
 
 
 def rest_duration(run: RunLog, radius: float, settings: StartSettings = DEFAULT_START) -> float:

@@ -26,7 +26,7 @@ SLOWING = 3e-4
 
 
 def test_a_guess_of_zeta_that_lets_the_wheel_fall_asks_for_no_shorter_steps():
-    """A fall at the start takes steps a tenth as long as the run, and no comparison makes it."""
+    """A fall at the start takes shorter steps than the run, and no comparison makes it."""
     setup = setup_of(([0.0, 0.5, 1.0, 3.0], [0.0, 0.0, 0.5, 0.5]), zeta=4.0)
     run = recorded(setup)
     falling = prepare_run("run", run)
@@ -36,6 +36,13 @@ def test_a_guess_of_zeta_that_lets_the_wheel_fall_asks_for_no_shorter_steps():
     assert told.step_choice is not None
     assert falling.step_choice.step == told.step_choice.step
     assert choose_step(falling.trial, RECORDED_STEPS).step < falling.step_choice.step
+
+
+def test_the_step_of_a_wheel_that_does_fall_is_chosen_for_the_fall():
+    setup = setup_of(([0.0, 0.5, 1.0, 3.0], [0.0, 0.0, 0.5, 0.5]))
+    setup.start.sinkage = setup.start.sinkage / 8
+    found = prepare_run("run", recorded(setup))
+    assert found.step_choice == choose_step(found.trial, RECORDED_STEPS)
 
 
 def test_the_step_of_a_wheel_that_starts_above_the_sand_is_chosen_with_the_set_ups_zeta():
