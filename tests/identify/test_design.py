@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
+from drftjax.common.rich_text import table_cells
 from drftjax.physics.stress import Sharp
 from drftjax.results.provenance import command_provenance, read_result_document
 from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
@@ -31,7 +32,7 @@ from identify.design.fisher_information import (
     with_gradient,
 )
 from identify.design.limits import Limits
-from identify.design.report import design_document, design_toml
+from identify.design.report import design_document, design_table, design_toml
 from identify.design.search import DesignSettings
 from identify.parameters.parameter import parameter
 from tests.helpers.drft_command import Drft
@@ -201,8 +202,8 @@ def test_a_designed_run_tells_more_and_is_a_set_up_file(tmp_path):
         each.information.error for each in (*found.found, *found.scan)
     )
     # What a terminal would take for a tag of its own.
-    of_length = dataclasses.replace(found, unit="m")
-    assert "standard error of lambda [m]" in of_length.summary()
+    of_length = table_cells(design_table(dataclasses.replace(found, unit="m")))
+    assert of_length.title == "standard error of lambda [m], beside zeta"
     assert design_document(found)["schema"] == "drft-design"
     origin = command_provenance("design", [PAPER])
     path, numbers, _ = _write(found, tmp_path / "design", origin)
