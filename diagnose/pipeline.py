@@ -58,7 +58,7 @@ from diagnose.selection.verdict import (
     hypothesis_behind,
     reassign_unknown,
     weight_by_name,
-    without,
+    weights_without,
 )
 from diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from diagnose.unknown.correction_fit import UnknownEffect, fit_unknown_effect
@@ -332,7 +332,9 @@ class _Diagnosing:
         """The weights without the verdict's set, which makes a channel worse."""
         dropped = weighed.verdict
         leading = [each for each in weighed.leading if each.names != dropped]
-        return self.decided(replace(weighed, leading=leading), without(weighed.share, dropped))
+        return self.decided(
+            replace(weighed, leading=leading), weights_without(weighed.share, dropped)
+        )
 
     def weights(
         self,

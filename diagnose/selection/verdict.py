@@ -211,7 +211,7 @@ def believing_listed(
     return believed
 
 
-def without(share: Weights, dropped: tuple[str, ...]) -> dict[tuple[str, ...], float]:
+def weights_without(share: Weights, dropped: tuple[str, ...]) -> dict[tuple[str, ...], float]:
     """Weights without a set of effects, alone and beside `unknown`.
 
     `unknown` alone has all of it where those of the others are too small for a number.

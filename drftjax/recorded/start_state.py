@@ -97,7 +97,11 @@ def settles_at_first(
 def _early_samples(
     run: RunLog, rest: float, settings: StartSettings, noise: ObservationSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times from the first command on [s], and which samples may give the start."""
+    """Times from the first command on [s], and which samples may give the start.
+
+    Returns:
+        Both of shape (samples,).
+    """
     time = run.measured.time - run.command.time[0]
     begun = time >= -noise.clock_rounding
     # Of a wheel that sets off sooner, no more than its rest gives the start.

@@ -11,7 +11,7 @@ from diagnose.selection.verdict import (
     decide,
     explaining_candidates,
     weight_by_name,
-    without,
+    weights_without,
 )
 
 
@@ -24,7 +24,7 @@ from diagnose.selection.verdict import (
     ],
 )
 def test_without_a_set_the_others_have_its_weight(share, left):
-    assert without(share, ("drawbar",)) == pytest.approx(left)
+    assert weights_without(share, ("drawbar",)) == pytest.approx(left)
 
 
 def test_most_of_the_weight_of_unknown_goes_to_listed_sets_in_proportion():
