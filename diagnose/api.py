@@ -190,6 +190,8 @@ def effects_among(
 ) -> tuple[type[AbstractEffect], ...]:
     """Effects by name or class, each once; the whole catalogue where none are given.
 
+    A name stands for its other forms, too; that of a form, and a class, for itself.
+
     Raises:
         InputError: for a name that is not known, with the nearest ones that are; for no effect.
     """
@@ -199,7 +201,11 @@ def effects_among(
         wanted = [wanted]
     if not wanted:
         raise InputError("no effect is named; `drft effects` lists them")
-    classes = [effect_class(each) if isinstance(each, str) else each for each in wanted]
+    classes = [
+        one
+        for each in wanted
+        for one in (with_its_forms(effect_class(each)) if isinstance(each, str) else [each])
+    ]
     for each in classes:
         if not (isinstance(each, type) and issubclass(each, AbstractEffect)):
             raise InputError(f"{each!r} is given as an effect; give names, or classes of effects")
@@ -212,6 +218,12 @@ def effects_among(
                 "of its own"
             )
     return tuple(dict.fromkeys(classes))
+
+
+def with_its_forms(effect: type[AbstractEffect]) -> list[type[AbstractEffect]]:
+    """An effect, and its other forms that a diagnosis looks for."""
+    name, every = effect.about.name, catalogue().values()
+    return [effect, *(e for e in every if e.about.form_of == name and e.about.hypothesis)]
 
 
 def gather_inputs(runs: Runs, origin: float | None = None) -> GatheredRuns:

@@ -57,7 +57,8 @@ def diagnose(
     effects: Annotated[
         str | None,
         typer.Option(
-            help="Names, with commas between: only these are considered. [default: all]",
+            help="Names, with commas between: only these are considered, in all their forms. "
+            "[default: all]",
             autocompletion=complete_effects,
         ),
     ] = None,

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from diagnose.dataset import RigDataset
-from diagnose.linear.residual_blocks import KINDS, SlowFastSplit
+from diagnose.linear.residual_blocks import SlowFastSplit, kinds_of
 from drftjax.recorded.noise_floor import (
     interpolation_loss,
     is_recorded,
@@ -153,7 +153,7 @@ def _channel_variance(
 ) -> list[float]:
     """Variance of chance in each of a channel's blocks, by the model that leaves least of it."""
     if not pairs:
-        return [0.0] * len(KINDS)
+        return [0.0] * len(kinds_of(dataset.channels[index]))
     by_model = [
         np.mean([_block_powers(dataset, index, p, residual, response) for p in pairs], axis=0)
         for residual in residuals

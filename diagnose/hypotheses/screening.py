@@ -27,7 +27,7 @@ from diagnose.hypotheses.refinement import predicted_score, refine, relinearize
 from diagnose.hypotheses.set_candidates import SetScreeningSettings
 from diagnose.hypotheses.set_screening import race, refine_sets, without_effect
 from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
-from diagnose.linear.linear_fit import LinearFit, floor_inflation, log_score
+from diagnose.linear.linear_fit import LinearFit, log_score
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import shared_model
@@ -172,8 +172,11 @@ class Screening:
     def is_far(self, none: Hypothesis) -> bool:
         """Tell whether the reference model is so far off that linear fits say little."""
         settings, weights = self.settings, self.regressors.settings
-        blocks = self.regressors.gram_matrices.blocks
-        miss = floor_inflation(blocks, none.fit.mean_square, 1.0, weights)
+        errors = weights.model_errors(self.regressors.gram_matrices.blocks)
+        kinds = [kind for _, kind in self.regressors.gram_matrices.blocks]
+        # What adds up over a run is no sign that a response bends.
+        shape = np.array([kind != "level" for kind in kinds])
+        miss = (np.sqrt(none.fit.mean_square) / errors)[shape].max()
         most = settings.far_from_scatter * weights.bed.scatter
         return miss > settings.far_from_floor or none.fit.zeta_variance > most**2
 
@@ -453,5 +456,5 @@ class Screening:
         return any(
             np.sqrt(left) > self.settings.pair_floor * error
             for (_, kind), error, left in zip(blocks, errors, best.fit.mean_square, strict=True)
-            if kind == "slow"
+            if kind != "fast"
         )

@@ -27,22 +27,26 @@ from types import MappingProxyType
 import numpy as np
 
 from diagnose.linear.bed import DEFAULT_BED, AbstractBed
-from diagnose.linear.residual_blocks import KINDS
+from diagnose.linear.residual_blocks import kinds_of
 from diagnose.model.carriage_hold import holds_carriage
 
 Block = tuple[str, str]
 
 
-def worth_by_block(blocks: Sequence[Block], slow: float, fast: float) -> np.ndarray:
+def worth_by_block(
+    blocks: Sequence[Block], slow: float, fast: float, level: float = 0.0
+) -> np.ndarray:
     """Independent statements in one value of each block [-], shape (blocks,).
 
     Args:
         blocks: (channel, kind) of each block.
-        slow, fast: Statements in a bin of a slow part and in a sample of a fast part [-]. What
-            holds a free carriage (`diagnose.model.carriage_hold`) is averaged over a bin, so that
-            each says one thing: no formula of the sand is wrong there in the next bin, too.
+        slow, fast, level: Statements in a bin of a slow part, in a sample of a fast part and in a
+            level [-]. What holds a free carriage (`diagnose.model.carriage_hold`) is averaged over
+            a bin, so that each says one thing: no formula of the sand is wrong there in the next
+            bin, too.
     """
-    plain, held = {"slow": slow, "fast": fast}, {"slow": 1.0, "fast": 0.0}
+    plain = {"slow": slow, "fast": fast, "level": level}
+    held = {"slow": 1.0, "fast": 0.0}
     holds = holds_carriage(blocks)
     return np.array(
         [(held if hold else plain)[kind] for (_, kind), hold in zip(blocks, holds, strict=True)]
@@ -54,8 +58,10 @@ def _default_model_error() -> Mapping[Block, float]:
         {
             ("z", "slow"): 20e-6,
             ("z", "fast"): 10e-6,
+            ("z", "level"): 6e-6,
             ("x", "slow"): 20e-6,
             ("x", "fast"): 20e-6,
+            ("x", "level"): 80e-6,
             ("fx", "slow"): 0.3,
             ("fx", "fast"): 0.5,
             ("fz", "slow"): 0.3,
@@ -75,6 +81,7 @@ class LinearFitSettings:
             fall below [m, N, N m].
         slow_worth: Independent statements in one bin of a slow part [-].
         fast_worth: Independent statements in one sample of a fast part [-].
+        level_worth: Independent statements in one level [-].
         bed: Scatter of zeta between the runs.
         strength_prior: Width of the prior on a strength [typical sizes].
         shape_prior: Least width of the prior on a shape's logarithm [-]; half the range of the
@@ -89,6 +96,7 @@ class LinearFitSettings:
     model_error: Mapping[Block, float] = field(default_factory=_default_model_error)
     slow_worth: float = 0.1
     fast_worth: float = 0.01
+    level_worth: float = 1.0
     bed: AbstractBed = DEFAULT_BED
     strength_prior: float = 5.0
     shape_prior: float = 1.0
@@ -103,7 +111,7 @@ class LinearFitSettings:
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one sample of these blocks [-], shape (blocks,)."""
-        return worth_by_block(blocks, self.slow_worth, self.fast_worth)
+        return worth_by_block(blocks, self.slow_worth, self.fast_worth, self.level_worth)
 
 
 DEFAULT_LINEAR_FIT = LinearFitSettings()
@@ -425,4 +433,4 @@ def log_score(
 
 def block_names(channels: Sequence[str]) -> tuple[Block, ...]:
     """(channel, kind) of the blocks of these channels."""
-    return tuple((channel, kind) for channel in channels for kind in KINDS)
+    return tuple((channel, kind) for channel in channels for kind in kinds_of(channel))

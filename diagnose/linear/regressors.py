@@ -191,7 +191,9 @@ class Regressors:
                     continue
                 sigma = float(observation.noise[observation.channels.index(channel)])
                 mean = float((split.bin_means**2).sum(axis=1).mean())
-                part = {"slow": mean * (2 if channel == "x" else 1), "fast": 1 - mean}[kind]
+                slow = mean * (2 if channel == "x" else 1)
+                level = 1 / split.bin_means.shape[1]
+                part = {"slow": slow, "fast": 1 - mean, "level": level}[kind]
                 power.append(sigma**2 * part)
             found.append(float(np.mean(power)))
         return np.array(found)

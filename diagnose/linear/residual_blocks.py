@@ -1,9 +1,13 @@
-"""Slow and fast part of each channel's residual: the blocks that have a variance of their own.
+"""Slow part, fast part and level of residuals: the blocks that have a variance of their own.
 
 With M the means over bins of `BIN_TIME` and P the lines through the bin means, the slow part of a
 channel's samples y is M y, and the fast part y - P M y. Of travel the slow part is the difference
 of successive bin means, as an error of speed would otherwise weigh on all bins that follow. A model
 that misses one block by much says nothing of the others' noise.
+
+The level of x and z is the mean of a run's samples: one statement. A speed that is wrong by a
+thousandth hides in the differences of bins, and in the zeta of the run if that may bend the mean
+sinkage by some micrometres; it shows in the level of x at the zeta that the level of z asks for.
 """
 
 from dataclasses import dataclass
@@ -14,7 +18,13 @@ import numpy as np
 BIN_TIME = 0.5
 
 
-KINDS = ("slow", "fast")
+# Channels whose mean over a run is a block of its own.
+LEVELLED = ("x", "z")
+
+
+def kinds_of(channel: str) -> tuple[str, ...]:
+    """Kinds of the blocks that a channel has."""
+    return ("slow", "fast", "level") if channel in LEVELLED else ("slow", "fast")
 
 
 @dataclass(frozen=True)
@@ -43,17 +53,19 @@ class SlowFastSplit:
         return cls(mean, lines)
 
     def split(self, channel: str, values: np.ndarray) -> dict[str, np.ndarray]:
-        """Slow and fast part of some columns of samples.
+        """The blocks of some columns of samples.
 
         Args:
             channel: Name of the channel.
             values: Shape (samples, columns).
 
         Returns:
-            By kind, shape (bins, columns), one fewer of travel, and (samples, columns).
+            By kind, as `kinds_of` has them: slow, shape (bins, columns), one fewer of travel; fast,
+            shape (samples, columns); level, shape (1, columns).
         """
         with np.errstate(invalid="ignore"):  # a run that could not be simulated has no numbers
             means = self.bin_means @ values
             fast = values - self.interpolation @ means
         slow = np.diff(means, axis=0) if channel == "x" else means
-        return {"slow": slow, "fast": fast}
+        every = {"slow": slow, "fast": fast, "level": values.mean(axis=0, keepdims=True)}
+        return {kind: every[kind] for kind in kinds_of(channel)}

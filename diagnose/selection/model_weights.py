@@ -35,8 +35,9 @@ The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`d
 served the other half better than those before. The prior of `none` was chosen later, on 138 sets
 more (seeds 9110 and 9112, up to 078), by how often what has a weight is right. They are no part of
 any single dataset, and older than the bed's evidence, than sets of more than two effects and than
-$d_c$, for which they have not been chosen again. Of `formula_error_share` the sets say little
-between 0.005 and 0.1; a share that pardons a second effect is too large.
+$d_c$, for which they have not been chosen again. A level counts as what it is, one number of a run.
+Of `formula_error_share` the sets say little between 0.005 and 0.1; a share that pardons a second
+effect is too large.
 """
 
 from collections.abc import Callable, Sequence
@@ -64,6 +65,7 @@ class WeightSettings:
     Attributes:
         slow_worth: $w_b$, independent statements in a bin of a slow part [-].
         fast_worth: $w_b$, independent statements in a sample of a fast part [-].
+        level_worth: $w_b$, independent statements in a level [-].
         model_error_factor: $c$, factor on `LinearFitSettings.model_error` [-].
         formula_error_share: $\epsilon$, share of the reference model's residual (in amplitude) that
             a right effect may leave, because no rig follows a formula exactly [-].
@@ -82,6 +84,7 @@ class WeightSettings:
 
     slow_worth: float = 0.05
     fast_worth: float = 0.005
+    level_worth: float = 1.0
     model_error_factor: float = 1.2
     formula_error_share: float = 0.01
     held_out_share: float = 0.5
@@ -95,7 +98,7 @@ class WeightSettings:
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one sample of these blocks [-], shape (blocks,)."""
-        return worth_by_block(blocks, self.slow_worth, self.fast_worth)
+        return worth_by_block(blocks, self.slow_worth, self.fast_worth, self.level_worth)
 
     def log_prior(self, effect_count: int) -> float:
         """Logarithm of the prior of a hypothesis of so many effects, over a single effect's [-]."""

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
+from equinox import AbstractVar
 from jaxtyping import Array, Float
 
 from drftjax.effects import spatial as places
@@ -42,7 +43,23 @@ HEAPED_SINKAGE = 0.02
 REFERENCE_SINKAGE, LEAST_SINKAGE = 0.02, 1e-3
 
 
-class Loosening(AbstractZetaFactor):
+# Turning [rad] below which a stretched loosening holds its loss: a power of nought has no slope.
+FIRST_TURNING = 1e-3
+
+
+class AbstractLoosening(AbstractZetaFactor):
+    """zeta falls with the wheel's accumulated turning, either way, towards a floor."""
+
+    loss: AbstractVar[Number]
+
+    def begin(self) -> Memory:
+        return jnp.zeros_like(self.loss)
+
+    def advance(self, memory: Memory, moment: StepContext) -> Memory:
+        return memory + moment.dt * jnp.abs(moment.omega)
+
+
+class Loosening(AbstractLoosening):
     """zeta falls with the wheel's accumulated turning, towards a floor."""
 
     about: ClassVar = EffectInfo(
@@ -54,14 +71,31 @@ class Loosening(AbstractZetaFactor):
     loss: Number = strength("-", 0.1, "share of zeta lost in the end", least=0.0, most=1.0)
     decay: Number = shape("rad", 2.0, (0.3, 0.7, 1.5, 3.0, 6.0, 12.0), "turning that loosens")
 
-    def begin(self) -> Memory:
-        return jnp.zeros_like(self.loss)
-
-    def advance(self, memory: Memory, moment: StepContext) -> Memory:
-        return memory + moment.dt * jnp.abs(moment.omega)
-
     def factor(self, moment: StepContext, memory: Memory) -> Number:
         return 1 - self.loss * (1 - jnp.exp(-memory / self.decay))
+
+
+class LooseningStretched(AbstractLoosening):
+    """zeta falls with the wheel's accumulated turning: early and long, or late and at once.
+
+    A stretched exponential (Kohlrausch's relaxation) has a long tail at exponents below one. Above
+    one the loss begins late, and its floor is reached soon after.
+    """
+
+    about: ClassVar = EffectInfo(
+        "loosening_stretched",
+        "terrain",
+        "ζ = ζ (1 - loss (1 - exp(-(turning / decay)^exponent)))",
+        "zeta falls with the wheel's accumulated turning, early and long, or late and at once",
+        form_of="loosening",
+    )
+    loss: Number = strength("-", 0.1, "share of zeta lost in the end", least=0.0, most=1.0)
+    decay: Number = shape("rad", 2.0, (0.5, 1.5, 4.0, 12.0), "turning that loosens")
+    exponent: Number = shape("-", 1.5, (0.6, 1.6), "below 1: a long tail; above 1: a late loss")
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        turned = jnp.maximum(memory, FIRST_TURNING) / self.decay
+        return 1 - self.loss * (1 - jnp.exp(-(turned**self.exponent)))
 
 
 class SlipSoftening(MemorylessZetaFactor):
@@ -244,6 +278,7 @@ class Heap(MemorylessLoad, AbstractSandLoad):
 
 TERRAIN = (
     Loosening,
+    LooseningStretched,
     SlipSoftening,
     SlipRatioSoftening,
     SinkageHardening,

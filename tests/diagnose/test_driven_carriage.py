@@ -65,6 +65,12 @@ def test_effects_that_are_no_usual_hypotheses_are_looked_for_where_they_are_name
     assert [each.about.name for each in possible_effects(free, effects_among(rare))] == rare
 
 
+def test_the_name_of_an_effect_stands_for_its_forms_too():
+    named = [each.about.name for each in effects_among(["channel_delay", "terrain_wave"])]
+    assert named == ["channel_delay", "travel_delay", "sinkage_delay", "terrain_wave"]
+    assert [each.about.name for each in effects_among("sinkage_delay")] == ["sinkage_delay"]
+
+
 @pytest.mark.parametrize(
     ("effect", "numbers"),
     [

@@ -44,6 +44,23 @@ def test_sand_passes_from_soft_to_hard_at_a_place():
     np.testing.assert_allclose(factors, [0.8, 1 - across, 1.0, 1 + across, 1.2], atol=1e-9)
 
 
+def test_sand_loosens_late_and_at_once_or_early_and_long():
+    late = KNOWN["loosening_stretched"](loss=0.2, decay=2.0, exponent=2.0)
+    early = KNOWN["loosening_stretched"](loss=0.2, decay=2.0, exponent=0.5)
+    here = moment_at(0.0)
+    for effect, powers in ((late, (1 / 16, 1.0, 4.0)), (early, (0.5, 1.0, 2**0.5))):
+        factors = [float(effect.factor(here, jnp.asarray(turned))) for turned in (0.5, 2.0, 4.0)]
+        np.testing.assert_allclose(factors, 0.8 + 0.2 * np.exp(-np.array(powers)), rtol=CLOSE)
+
+
+def test_a_stretched_loosening_of_exponent_one_is_the_plain_one():
+    plain = KNOWN["loosening"](loss=0.2, decay=2.0)
+    other = KNOWN["loosening_stretched"](loss=0.2, decay=2.0, exponent=1.0)
+    here, turned = moment_at(0.0), [jnp.asarray(each) for each in (0.01, 0.5, 2.0, 30.0)]
+    factors = [[float(each.factor(here, t)) for t in turned] for each in (plain, other)]
+    np.testing.assert_allclose(*factors, rtol=CLOSE)
+
+
 # Height decrease by the arc that truly touches
 
 

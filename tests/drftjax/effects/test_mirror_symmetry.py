@@ -82,6 +82,7 @@ MIRROR: dict[str, tuple[tuple[str, ...], str]] = {
     "eccentricity": (("along",), "fixed to the wheel"),
     "imbalance": (("along",), "fixed to the wheel"),
     "loosening": ((), "turning counts either way"),
+    "loosening_stretched": ((), "turning counts either way"),
     "slip_softening": ((), "slip counts either way"),
     "slip_ratio_softening": ((), "slip counts either way"),
     "sinkage_hardening": ((), "depth"),

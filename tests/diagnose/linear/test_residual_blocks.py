@@ -1,0 +1,40 @@
+"""Blocks of residuals, against sums that are done by hand."""
+
+import numpy as np
+import pytest
+
+from diagnose.linear.linear_fit import block_names, worth_by_block
+from diagnose.linear.residual_blocks import BIN_TIME, SlowFastSplit
+
+# Four bins of five samples each.
+TIME = np.arange(20) * BIN_TIME / 5
+
+
+def split(channel: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return SlowFastSplit.of(TIME).split(channel, values[:, None])
+
+
+def test_an_error_of_speed_is_small_in_every_bin_and_adds_up_in_the_level():
+    speed = 12e-6  # m/s: 6 µm in a bin
+    parts = split("x", speed * TIME)
+    assert parts["slow"].ravel() == pytest.approx([6e-6] * 3)
+    assert parts["level"].item() == pytest.approx(speed * TIME.mean())
+    assert len(parts["fast"]) == len(TIME)
+
+
+def test_a_sinkage_is_split_into_bins_and_level():
+    parts = split("z", np.where(TIME < 2 * BIN_TIME - 1e-9, 1.0, 3.0))
+    assert parts["slow"].ravel() == pytest.approx([1, 1, 3, 3])
+    assert parts["level"].item() == pytest.approx(2.0)
+
+
+def test_forces_have_no_level():
+    assert set(split("fz", TIME)) == {"slow", "fast"}
+    kinds = {channel: kind for channel, kind in block_names(["x", "z", "fx"]) if kind == "level"}
+    assert kinds == {"x": "level", "z": "level"}
+
+
+def test_a_level_counts_where_its_worth_is_given_alone():
+    blocks = block_names(["z"])
+    assert worth_by_block(blocks, 0.1, 0.01).tolist() == [0.1, 0.01, 0.0]
+    assert worth_by_block(blocks, 0.1, 0.01, 1.0).tolist() == [0.1, 0.01, 1.0]
