@@ -162,9 +162,15 @@ class Screening:
         near = [e for e in top_ranked(several, count) if e.is_simulated and e.score > least]
 
         def refined(each: Hypothesis) -> Hypothesis:
-            exact = relinearize(self.regressors, each, self.pool)
-            # The step is short: what a simulation says of the way is mostly roughness.
-            return replace(self.refine(exact, 1), columns=exact.columns)
+            before = -np.inf
+            # Once, and again where that still gained, as the derivatives are then of another place.
+            for _ in range(2):
+                if each.score - before < self.settings.refinement.min_gain:
+                    break
+                before, exact = each.score, relinearize(self.regressors, each, self.pool)
+                # The step is short: what a simulation says of the way is mostly roughness.
+                each = replace(self.refine(exact, 1), columns=exact.columns)
+            return each
 
         done = self.pool.map_outer(refined, near)
         return tuple(best_of_each([*done, *(each for each in several if each not in near)]))
@@ -313,7 +319,7 @@ class Screening:
             (place for place, several in enumerate(by_size) if several),
             key=lambda place: by_size[place][0].score,
         )
-        while place > 1:
+        while place > 0:
             best = by_size[place][0]
             self.take_out(by_size, place)
             place -= 1
@@ -331,9 +337,11 @@ class Screening:
             place: Of the size among them, pairs or more.
         """
         best = by_size[place][0]
-        # One that is far behind may have gone astray, on its way from elsewhere.
+        # One that is far behind may have gone astray, on its way from elsewhere. A single effect may
+        # have stopped short, and is tried again from here.
         least = best.score - self.settings.hopeless_deficit
         known = {frozenset(each.names) for each in by_size[place - 1] if each.score > least}
+        known = known if place > 1 else set()
         missing = [
             index
             for index, name in enumerate(best.names)

@@ -63,6 +63,7 @@ def test_half_the_power_of_what_repeats_differ_by_is_chance(case):
         )
     )
     assert found.pop(("z", "slow")) == pytest.approx(0.5e-6)
+    assert found.pop(("z", "level")) == pytest.approx(0.5e-6)
     # A constant has no fast part, but for rounding.
     assert max(found.values()) < ROUNDING
 

@@ -8,6 +8,7 @@ from diagnose.gap.cross_validation import at_mean_sinkage, predict_held_out
 from diagnose.gap.zeta_matching import match_runs, residuals_of
 from diagnose.hypotheses.hypothesis import linear_start
 from diagnose.hypotheses.refinement import refine
+from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import AugmentedModel
@@ -29,7 +30,9 @@ def rms(residual: list[np.ndarray]) -> np.ndarray:
 
 def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting, pool):
     linearized = linearize_runs(drifting, match_initial_zeta(drifting, pool), pool)
-    regressors = Regressors.of(drifting, linearized, (), pool)
+    # Levels would hold each run's zeta where its mean sinkage is met.
+    weights = LinearFitSettings(level_worth=0.0)
+    regressors = Regressors.of(drifting, linearized, (), pool, weights)
     none = refine(regressors, linear_start(regressors, []), 3, pool)
     held_out = predict_held_out(regressors, none, pool)
     met = residuals_of(at_mean_sinkage(held_out, pool))

@@ -8,13 +8,15 @@ from diagnose.dataset import match_initial_zeta
 from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
 from diagnose.hypotheses.joint_additions import JointSettings, joint_starts
 from diagnose.hypotheses.refinement import refine
+from diagnose.hypotheses.screening import screen_effects
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
 # A spring holds the carriage up by what sand that sinks with slip lets it down.
-TRUTH = {"slip_sinkage": {"rate": 4.0}, "vertical_spring": {"stiffness": 12e3}}
+TRUTH = {"slip_sinkage": {"rate": 2.0}, "vertical_spring": {"stiffness": 6e3}}
+STRONG = {"slip_sinkage": {"rate": 4.0}, "vertical_spring": {"stiffness": 12e3}}
 OTHERS = ("depth_power", "depth_hardening", "wheel_radius", "sinkage_gain", "heap", "drawbar")
 
 # Three short runs say less than the nine long ones for which the default is.
@@ -40,11 +42,20 @@ def test_effects_that_cancel_each_other_lead_together_though_not_alone(regressor
         name, score = variant.effect.about.name, linear_fit_of(regressors, [variant]).score
         alone[name] = max(score, alone.get(name, score))
     leading = sorted(alone, key=lambda name: -alone[name])
-    assert not set(TRUTH) & set(leading[:2])
+    assert "slip_sinkage" not in leading[:2]
     starts = joint_starts(regressors, [none], [], pool, SETTINGS)
-    assert set(starts[0].names) == set(TRUTH)
-    refined = refine(regressors, starts[0], 3, pool)
+    (both,) = [each for each in starts if set(each.names) == set(TRUTH)]
+    refined = refine(regressors, both, 3, pool)
     assert refined.score > none.score + SETTINGS.min_gain
+
+
+def test_a_search_finds_two_that_cancel_each_other_though_others_lead_alone(pool):
+    dataset = dataset_with(*({"name": name} | numbers for name, numbers in STRONG.items()))
+    found = screen_effects(dataset, [effect_class(name) for name in (*STRONG, *OTHERS)], pool)
+    assert not set(STRONG) & {name for each in found.singles[:2] for name in each.names}
+    assert set(found.pairs[0].names) == set(STRONG)
+    # Far more than what two numbers cost.
+    assert found.pairs[0].score > found.singles[0].score + 20
 
 
 def test_sets_that_are_known_or_add_one_effect_too_often_are_not_begun(regressors, none, pool):
