@@ -337,8 +337,8 @@ class Screening:
             place: Of the size among them, pairs or more.
         """
         best = by_size[place][0]
-        # One that is far behind may have gone astray, on its way from elsewhere. A single effect may
-        # have stopped short, and is tried again from here.
+        # One that is far behind may have gone astray, on its way from elsewhere. A single effect
+        # may have stopped short, and is tried again from here.
         least = best.score - self.settings.hopeless_deficit
         known = {frozenset(each.names) for each in by_size[place - 1] if each.score > least}
         known = known if place > 1 else set()
