@@ -60,7 +60,8 @@ class ChangeErrorSettings:
 
     Attributes:
         slow_worth: Independent statements in one bin of a slow part [-].
-        fast_worth: Independent statements in one sample of a fast part [-].
+        fast_worth: Independent statements in one sample of a fast part [-]. A level adds none: it
+            is a sum of the bins, each of which counts here.
         law_share: Share of a strength, or of a change of zeta, that may be wrong as the sand
             follows another law [-].
     """
@@ -227,7 +228,7 @@ def _parameters(
     """The change's numbers with standard errors, by effect and field."""
     prior, matrices = chosen.coordinate_prior(problem.settings), problem.gram(chosen, pool)
     error = settings.error
-    worth = worth_by_block(matrices.blocks, error.slow_worth, error.fast_worth)
+    worth = worth_by_block(matrices.blocks, error.slow_worth, error.fast_worth, 0.0)
     centring = problem.differences.centring
     precision = information(matrices, chosen.fit, centring, prior, worth, problem.settings)
     spread = np.sqrt(np.diag(np.linalg.inv(precision)))[: len(prior.width)]

@@ -10,7 +10,7 @@ from diagnose.change.differences.fit import CoefficientPrior, DifferenceFit, fit
 from diagnose.change.differences.gram import DifferenceGram, Differences
 from diagnose.change.differences.settings import DEFAULT_DIFFERENCE_FIT, DifferenceFitSettings
 from diagnose.hypotheses.hypothesis import column_mixes, mix_columns
-from diagnose.linear.linear_fit import block_names, floor_inflation
+from diagnose.linear.linear_fit import WITHOUT_LEVELS, block_names, floor_inflation
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
@@ -229,7 +229,9 @@ class ChangeProblem:
         share = settings.simulated_error if here.is_simulated else settings.linear_error
         free = range(len(here.coordinates))
         prior = here.coordinate_prior(settings)
-        inflation = floor_inflation(matrices.blocks, here.fit.mean_square, floor_share)
+        inflation = floor_inflation(
+            matrices.blocks, here.fit.mean_square, floor_share, WITHOUT_LEVELS
+        )
         at = self.deviation(here), prior, share, len(free), inflation
         return self.fit(matrices, free, *at)
 

@@ -18,7 +18,7 @@ from diagnose.dataset import (
     without_step_errors,
 )
 from diagnose.hypotheses.hypothesis import lower_bounds
-from diagnose.linear.linear_fit import fit_linear, floor_inflation
+from diagnose.linear.linear_fit import WITHOUT_LEVELS, fit_linear, floor_inflation
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import AugmentedModel, with_effects
@@ -87,9 +87,9 @@ def follow_shared_law(
     for turn in range(settings.rounds):
         base = RigDataset.of([runs[run] for run in before], dataset.settings)
         linearized = linearize_runs(base, match_initial_zeta(base, pool), pool)
-        responses = Regressors.of(base, linearized, model.effects, pool)
+        responses = Regressors.of(base, linearized, model.effects, pool, WITHOUT_LEVELS)
         matrices = responses.gram_matrices
-        missed = fit_linear(matrices, ()).mean_square
+        missed = fit_linear(matrices, (), settings=WITHOUT_LEVELS).mean_square
         share = settings.floor_shares[turn] if turn < len(settings.floor_shares) else 0.0
         least = [bound for each in model.effects for bound in lower_bounds(each)]
         fit = fit_linear(
@@ -99,7 +99,8 @@ def follow_shared_law(
             offset=at[strengths],
             lower=np.array(least) - at[strengths],
             linear_error=0.0,
-            inflation=floor_inflation(matrices.blocks, missed, share),
+            inflation=floor_inflation(matrices.blocks, missed, share, WITHOUT_LEVELS),
+            settings=WITHOUT_LEVELS,
         )
         if not np.isfinite(fit.coefficients).all():
             break  # A run's wheel falls at this law, so that it has no derivative.

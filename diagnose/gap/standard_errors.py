@@ -18,7 +18,8 @@ class StandardErrorSettings:
 
     Attributes:
         slow_worth: Independent statements in one bin of a slow part [-].
-        fast_worth: Independent statements in one sample of a fast part [-].
+        fast_worth: Independent statements in one sample of a fast part [-]. A level adds none: it
+            is a sum of the bins, each of which counts here.
     """
 
     slow_worth: float = 1.0
@@ -46,7 +47,7 @@ def standard_errors(
         settings: Independent statements.
     """
     matrices = regressors.gram_matrices_of(chosen.columns, chosen.residual, chosen.log_zeta, pool)
-    worth = worth_by_block(matrices.blocks, settings.slow_worth, settings.fast_worth)
+    worth = worth_by_block(matrices.blocks, settings.slow_worth, settings.fast_worth, 0.0)
     width, _ = gaussian_prior(chosen.model, regressors.settings)
     information = information_on(matrices, chosen.fit, width, worth, regressors.settings)
     return np.sqrt(np.diag(np.linalg.inv(information)))

@@ -340,8 +340,9 @@ class Screening:
         # One that is far behind may have gone astray, on its way from elsewhere. A single effect
         # may have stopped short, and is tried again from here.
         least = best.score - self.settings.hopeless_deficit
-        known = {frozenset(each.names) for each in by_size[place - 1] if each.score > least}
-        known = known if place > 1 else set()
+        known = {
+            frozenset(each.names) for each in by_size[place - 1] if place > 1 and each.score > least
+        }
         missing = [
             index
             for index, name in enumerate(best.names)
@@ -458,7 +459,7 @@ class Screening:
         return log_score(matrices.blocks, count, noise, 0.0, runs, settings=regressors.settings)
 
     def leaves_gap(self, best: Hypothesis) -> bool:
-        """Tell whether a hypothesis leaves more than the model error in a channel's slow part."""
+        """Tell whether a hypothesis leaves more than the model error in a slow part or a level."""
         blocks = self.regressors.gram_matrices.blocks
         errors = self.regressors.settings.model_errors(blocks)
         return any(

@@ -41,16 +41,17 @@ class ScreeningSettings:
         min_round_gain: A further round is made while the last one gained this much log score [-].
         hopeless_deficit: A hypothesis that is this far behind the best in log score, by a linear
             fit about it or after as much as the last round gained once more, gets none [-].
-        far_from_floor: The reference model is far off where it misses a block by more than this
-            many model errors [-]: there strengths far from zero are tried one by one, too.
+        far_from_floor: The reference model is far off where it misses a block, levels apart, by
+            more than this many model errors [-]: there strengths far from zero are tried one by
+            one, too.
         far_from_scatter: Likewise where the runs' zeta scatters by more than this many times the
             bed's scatter [-].
         pair_floor: Pairs are looked for where the best single effect leaves more than this many
-            model errors in the slow part of a channel [-].
+            model errors in the slow part of a channel, or in a level [-].
         max_effects: Effects in one hypothesis at most.
         min_set_gain: A further effect is looked for while the last ones gained this much log score
-            each [-]: about twice what an effect of one number costs in a weight, whose evidence
-            counts half as much.
+            each [-]: about twice what an effect of one number costs in a weight, where all but
+            levels counts half as much.
         min_set_share: The same while it gained this share of what was left to gain [-]. Effects
             that the rig has take a gap away in few steps; what is outside the list is nibbled at.
         patience: Effects that are added, one after another, without such a gain before the search

@@ -1,6 +1,6 @@
 r"""Fits of effects on linear responses, from Gram matrices, and the score of what they leave.
 
-Residuals are divided into blocks b, a channel's slow and fast part
+Residuals are divided into blocks b, a channel's slow and fast part and the level of x and z
 (`diagnose.linear.residual_blocks`), each with a variance of its own. A linear fit changes the
 residual of run r by its own log zeta $\zeta_r$ and by the coefficients $\theta$ that all runs
 share; with $x_r = (\zeta_r, \theta, 1)$ the sum of squares that it leaves is $x_r^T G_{rb} x_r$,
@@ -33,9 +33,7 @@ from diagnose.model.carriage_hold import holds_carriage
 Block = tuple[str, str]
 
 
-def worth_by_block(
-    blocks: Sequence[Block], slow: float, fast: float, level: float = 0.0
-) -> np.ndarray:
+def worth_by_block(blocks: Sequence[Block], slow: float, fast: float, level: float) -> np.ndarray:
     """Independent statements in one value of each block [-], shape (blocks,).
 
     Args:
@@ -115,6 +113,9 @@ class LinearFitSettings:
 
 
 DEFAULT_LINEAR_FIT = LinearFitSettings()
+
+# For a comparison: what both sides share, their level too, is not asked there.
+WITHOUT_LEVELS = LinearFitSettings(level_worth=0.0)
 
 
 @dataclass(frozen=True)
@@ -393,16 +394,16 @@ def floor_inflation(
     share: float,
     settings: LinearFitSettings = DEFAULT_LINEAR_FIT,
 ) -> float:
-    """A share of the worst block's RMS in model errors [-]; one at least.
+    """A share of the worst block's RMS in model errors [-], of those that count; one at least.
 
     Args:
         blocks: (channel, kind) of each block.
         mean_square: Mean square of what is left in each, shape (blocks,).
         share: The share [-].
-        settings: For the model errors.
+        settings: For the model errors, and for which blocks count.
     """
-    errors = settings.model_errors(blocks)
-    return max(1.0, share * float((np.sqrt(mean_square) / errors).max()))
+    miss = np.sqrt(mean_square) / settings.model_errors(blocks)
+    return max(1.0, share * float(miss[settings.worth(blocks) > 0].max()))
 
 
 def log_score(

@@ -66,6 +66,7 @@ class SlowFastSplit:
         with np.errstate(invalid="ignore"):  # a run that could not be simulated has no numbers
             means = self.bin_means @ values
             fast = values - self.interpolation @ means
+            level = values.mean(axis=0, keepdims=True)
         slow = np.diff(means, axis=0) if channel == "x" else means
-        every = {"slow": slow, "fast": fast, "level": values.mean(axis=0, keepdims=True)}
+        every = {"slow": slow, "fast": fast, "level": level}
         return {kind: every[kind] for kind in kinds_of(channel)}

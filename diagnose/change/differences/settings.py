@@ -16,7 +16,8 @@ class DifferenceFitSettings:
     Attributes:
         slow_worth: Independent statements in one bin of a slow part [-]. Far fewer than one: what
             a formula leaves of a true effect changes slowly, too.
-        fast_worth: Independent statements in one sample of a fast part [-], likewise.
+        fast_worth: Independent statements in one sample of a fast part [-], likewise. A level says
+            nothing here: each condition's zeta is free.
         bed: Scatter of zeta between runs, before these runs are seen.
         strength_prior: Width of the prior on a strength [typical sizes].
         shape_prior: Width of the prior on a shape's logarithm about where it starts [-].
@@ -52,7 +53,7 @@ class DifferenceFitSettings:
 
     def worth(self, blocks: Sequence[Block]) -> np.ndarray:
         """Independent statements in one value of these blocks [-], shape (blocks,)."""
-        return worth_by_block(blocks, self.slow_worth, self.fast_worth)
+        return worth_by_block(blocks, self.slow_worth, self.fast_worth, 0.0)
 
 
 DEFAULT_DIFFERENCE_FIT = DifferenceFitSettings()

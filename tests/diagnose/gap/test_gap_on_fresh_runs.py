@@ -28,17 +28,19 @@ def rms(residual: list[np.ndarray]) -> np.ndarray:
     return np.sqrt(np.mean(np.concatenate(residual, axis=1) ** 2, axis=1))
 
 
-def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting, pool):
+@pytest.mark.parametrize("level_worth", [1.0, 0.0])
+def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting, pool, level_worth):
     linearized = linearize_runs(drifting, match_initial_zeta(drifting, pool), pool)
-    # Levels would hold each run's zeta where its mean sinkage is met.
-    weights = LinearFitSettings(level_worth=0.0)
+    weights = LinearFitSettings(level_worth=level_worth)
     regressors = Regressors.of(drifting, linearized, (), pool, weights)
     none = refine(regressors, linear_start(regressors, []), 3, pool)
     held_out = predict_held_out(regressors, none, pool)
     met = residuals_of(at_mean_sinkage(held_out, pool))
     alone = [each.residual for each in match_runs(drifting, AugmentedModel(), np.zeros(0), pool)]
     assert rms(met) == pytest.approx(rms(alone), rel=AGREE)
-    # The zeta that suits all channels best gives z up for x.
+    if level_worth:
+        return
+    # Without levels the zeta that suits all channels best gives z up for x.
     x, z = (drifting.channels.index(channel) for channel in "xz")
     # And by far: x has more samples to say so, and less noise.
     assert rms(met)[z] < 0.5 * rms(none.residual)[z]

@@ -134,6 +134,16 @@ def test_a_part_of_a_set_that_went_astray_on_its_way_is_tried_again(regressors, 
     assert found[frozenset(pair.names)] > three.score - DEFAULT_SCREENING.min_set_gain
 
 
+def test_a_single_effect_that_stopped_short_is_tried_again_from_the_pair(regressors, settled, pool):
+    lag, pair = settled("speed_lag"), settled("drawbar", "speed_lag")
+    # Behind, but not so far that it would count as astray.
+    short = replace(lag, fit=replace(lag.fit, score=lag.score - 20))
+    by_size = [[short], [pair]]
+    Screening(regressors, pool).take_out_further(by_size)
+    found = {each.names: each.score for each in by_size[0]}
+    assert found["speed_lag",] == pytest.approx(lag.score, abs=1.0)
+
+
 def test_the_set_that_is_told_has_its_rivals_whichever_set_was_exchanged(regressors, settled, pool):
     told, none = settled("drawbar", "speed_lag"), linear_start(regressors, [])
     names = frozenset(told.names)

@@ -36,7 +36,9 @@ def none(regressors, pool):
     return refine(regressors, linear_start(regressors, []), 3, pool)
 
 
-def test_effects_that_cancel_each_other_lead_together_though_not_alone(regressors, none, pool):
+def test_effects_that_cancel_each_other_are_begun_together_though_one_does_not_lead_alone(
+    regressors, none, pool
+):
     alone: dict[str, float] = {}
     for variant in regressors.variants:
         name, score = variant.effect.about.name, linear_fit_of(regressors, [variant]).score

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from diagnose.linear.linear_fit import block_names, worth_by_block
+from diagnose.linear.linear_fit import (
+    WITHOUT_LEVELS,
+    block_names,
+    floor_inflation,
+    worth_by_block,
+)
 from diagnose.linear.residual_blocks import BIN_TIME, SlowFastSplit
 
 # Four bins of five samples each.
@@ -34,7 +39,10 @@ def test_forces_have_no_level():
     assert kinds == {"x": "level", "z": "level"}
 
 
-def test_a_level_counts_where_its_worth_is_given_alone():
+def test_each_block_has_its_worth_and_what_has_none_raises_no_floor():
     blocks = block_names(["z"])
-    assert worth_by_block(blocks, 0.1, 0.01).tolist() == [0.1, 0.01, 0.0]
     assert worth_by_block(blocks, 0.1, 0.01, 1.0).tolist() == [0.1, 0.01, 1.0]
+    # Missed by 2, 3 and 50 model errors.
+    missed = (np.array([2.0, 3.0, 50.0]) * WITHOUT_LEVELS.model_errors(blocks)) ** 2
+    assert floor_inflation(blocks, missed, 0.5) == pytest.approx(25.0)
+    assert floor_inflation(blocks, missed, 0.5, WITHOUT_LEVELS) == pytest.approx(1.5)
