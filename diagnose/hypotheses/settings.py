@@ -50,8 +50,8 @@ class ScreeningSettings:
             model errors in the slow part of a channel, or in a level [-].
         max_effects: Effects in one hypothesis at most.
         min_set_gain: A further effect is looked for while the last ones gained this much log score
-            each [-]: about twice what an effect of one number costs in a weight, where all but
-            levels counts half as much.
+            each [-]: about twice what an effect of one number costs in a weight, whose evidence
+            counts half as much.
         min_set_share: The same while it gained this share of what was left to gain [-]. Effects
             that the rig has take a gap away in few steps; what is outside the list is nibbled at.
         patience: Effects that are added, one after another, without such a gain before the search

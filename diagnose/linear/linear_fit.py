@@ -59,7 +59,8 @@ def _default_model_error() -> Mapping[Block, float]:
             ("z", "level"): 6e-6,
             ("x", "slow"): 20e-6,
             ("x", "fast"): 20e-6,
-            ("x", "level"): 80e-6,
+            # Another program's runs without any effect miss the level of x by so much.
+            ("x", "level"): 200e-6,
             ("fx", "slow"): 0.3,
             ("fx", "fast"): 0.5,
             ("fz", "slow"): 0.3,

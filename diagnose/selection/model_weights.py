@@ -35,9 +35,9 @@ The numbers in `WeightSettings` were chosen on 120 sets of our own generator (`d
 served the other half better than those before. The prior of `none` was chosen later, on 138 sets
 more (seeds 9110 and 9112, up to 078), by how often what has a weight is right. They are no part of
 any single dataset, and older than the bed's evidence, than sets of more than two effects and than
-$d_c$, for which they have not been chosen again. A level counts as what it is, one number of a run.
-Of `formula_error_share` the sets say little between 0.005 and 0.1; a share that pardons a second
-effect is too large.
+$d_c$, for which they have not been chosen again. A level is one number of a run, and counts half as
+in the fits, as all else does. Of `formula_error_share` the sets say little between 0.005 and 0.1; a
+share that pardons a second effect is too large.
 """
 
 from collections.abc import Callable, Sequence
@@ -84,7 +84,7 @@ class WeightSettings:
 
     slow_worth: float = 0.05
     fast_worth: float = 0.005
-    level_worth: float = 1.0
+    level_worth: float = 0.5
     model_error_factor: float = 1.2
     formula_error_share: float = 0.01
     held_out_share: float = 0.5
