@@ -1,15 +1,22 @@
 """Blocks of residuals, against sums that are done by hand."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from diagnose.dataset import RigDataset, without_step_errors
+from diagnose.gap.zeta_matching import match_runs
 from diagnose.linear.linear_fit import (
+    DEFAULT_LINEAR_FIT,
     WITHOUT_LEVELS,
     block_names,
     floor_inflation,
     worth_by_block,
 )
 from diagnose.linear.residual_blocks import BIN_TIME, SlowFastSplit
+from diagnose.model.augmented_model import AugmentedModel
+from diagnose.rig_runs import gather_runs
 
 # Four bins of five samples each.
 TIME = np.arange(20) * BIN_TIME / 5
@@ -46,3 +53,15 @@ def test_each_block_has_its_worth_and_what_has_none_raises_no_floor():
     missed = (np.array([2.0, 3.0, 50.0]) * WITHOUT_LEVELS.model_errors(blocks)) ** 2
     assert floor_inflation(blocks, missed, 0.5) == pytest.approx(25.0)
     assert floor_inflation(blocks, missed, 0.5, WITHOUT_LEVELS) == pytest.approx(1.5)
+
+
+def test_healthy_rigs_of_another_program_miss_the_level_of_x_by_its_model_error(shared: Path, pool):
+    """`../shared/blind/single_practice/set_11`: nothing is wrong, by a program of its own."""
+    paths = sorted((shared / "blind/single_practice/set_11").glob("run_*.h5"))
+    dataset = RigDataset.of(gather_runs(paths, lambda _: None).runs)
+    found = match_runs(without_step_errors(dataset, pool), AugmentedModel(), np.zeros(0), pool)
+    x = dataset.channels.index("x")
+    level = float(np.sqrt(np.mean([each.residual[x].mean() ** 2 for each in found])))
+    error = DEFAULT_LINEAR_FIT.model_error["x", "level"]
+    # An error so much smaller would call it a fault; so much larger would hide one for nothing.
+    assert 0.75 * error < level < error
