@@ -27,7 +27,7 @@ from diagnose.hypotheses.refinement import predicted_score, refine, relinearize
 from diagnose.hypotheses.set_candidates import SetScreeningSettings
 from diagnose.hypotheses.set_screening import race, refine_sets, without_effect
 from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
-from diagnose.linear.linear_fit import LinearFit, log_score
+from diagnose.linear.linear_fit import LinearFit, floor_inflation, log_score
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.model.augmented_model import shared_model
@@ -178,11 +178,10 @@ class Screening:
     def is_far(self, none: Hypothesis) -> bool:
         """Tell whether the reference model is so far off that linear fits say little."""
         settings, weights = self.settings, self.regressors.settings
-        errors = weights.model_errors(self.regressors.gram_matrices.blocks)
-        kinds = [kind for _, kind in self.regressors.gram_matrices.blocks]
+        blocks = self.regressors.gram_matrices.blocks
         # What adds up over a run is no sign that a response bends.
-        shape = np.array([kind != "level" for kind in kinds])
-        miss = (np.sqrt(none.fit.mean_square) / errors)[shape].max()
+        without_levels = replace(weights, level_worth=0.0)
+        miss = floor_inflation(blocks, none.fit.mean_square, 1.0, without_levels)
         most = settings.far_from_scatter * weights.bed.scatter
         return miss > settings.far_from_floor or none.fit.zeta_variance > most**2
 
