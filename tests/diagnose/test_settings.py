@@ -87,9 +87,8 @@ def test_a_weight_and_a_threshold_change_the_verdict(sloping):
     assert beside.verdict == ("surface_slope",)
     share = VerdictSettings().listed_share
     assert beside.weights["surface_slope"] == pytest.approx(share, abs=0.01)
-    # No evidence of three runs is worth as much.
     cautious = DiagnosisSettings(
-        verdict=VerdictSettings(alarm_ratio=1e100, max_competing=0), held_out=HeldOutSettings(1, 0)
+        verdict=VerdictSettings(alarm_ratio=1e12, max_competing=0), held_out=HeldOutSettings(1, 0)
     )
     silent = diagnose(sloping, EFFECTS, settings=cautious)
     assert silent.verdict == ("none",)

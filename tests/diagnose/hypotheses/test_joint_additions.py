@@ -9,14 +9,14 @@ from diagnose.hypotheses.hypothesis import linear_fit_of, linear_start
 from diagnose.hypotheses.joint_additions import JointSettings, joint_starts
 from diagnose.hypotheses.refinement import refine
 from diagnose.hypotheses.screening import screen_effects
+from diagnose.linear.linear_fit import WITHOUT_LEVELS
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from drftjax.effects.catalogue import effect_class
 from tests.helpers.rig_datasets import dataset_with
 
 # A spring holds the carriage up by what sand that sinks with slip lets it down.
-TRUTH = {"slip_sinkage": {"rate": 2.0}, "vertical_spring": {"stiffness": 6e3}}
-STRONG = {"slip_sinkage": {"rate": 4.0}, "vertical_spring": {"stiffness": 12e3}}
+TRUTH = {"slip_sinkage": {"rate": 4.0}, "vertical_spring": {"stiffness": 12e3}}
 OTHERS = ("depth_power", "depth_hardening", "wheel_radius", "sinkage_gain", "heap", "drawbar")
 
 # Three short runs say less than the nine long ones for which the default is.
@@ -28,7 +28,9 @@ def regressors(pool) -> Regressors:
     dataset = dataset_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
     linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
     effects = [effect_class(name) for name in (*TRUTH, *OTHERS)]
-    return Regressors.of(dataset, linearized, effects, pool)
+    # Levels hold the zetas of the reference model, from where these two are too strong for linear
+    # fits; a search by simulation finds them with levels, too (below).
+    return Regressors.of(dataset, linearized, effects, pool, WITHOUT_LEVELS)
 
 
 @pytest.fixture(scope="module")
@@ -36,26 +38,24 @@ def none(regressors, pool):
     return refine(regressors, linear_start(regressors, []), 3, pool)
 
 
-def test_effects_that_cancel_each_other_are_begun_together_though_one_does_not_lead_alone(
-    regressors, none, pool
-):
+def test_effects_that_cancel_each_other_lead_together_though_not_alone(regressors, none, pool):
     alone: dict[str, float] = {}
     for variant in regressors.variants:
         name, score = variant.effect.about.name, linear_fit_of(regressors, [variant]).score
         alone[name] = max(score, alone.get(name, score))
     leading = sorted(alone, key=lambda name: -alone[name])
-    assert "slip_sinkage" not in leading[:2]
+    assert not set(TRUTH) & set(leading[:2])
     starts = joint_starts(regressors, [none], [], pool, SETTINGS)
-    (both,) = [each for each in starts if set(each.names) == set(TRUTH)]
-    refined = refine(regressors, both, 3, pool)
+    assert set(starts[0].names) == set(TRUTH)
+    refined = refine(regressors, starts[0], 3, pool)
     assert refined.score > none.score + SETTINGS.min_gain
 
 
 def test_a_search_finds_two_that_cancel_each_other_though_others_lead_alone(pool):
-    dataset = dataset_with(*({"name": name} | numbers for name, numbers in STRONG.items()))
-    found = screen_effects(dataset, [effect_class(name) for name in (*STRONG, *OTHERS)], pool)
-    assert not set(STRONG) & {name for each in found.singles[:2] for name in each.names}
-    assert set(found.pairs[0].names) == set(STRONG)
+    dataset = dataset_with(*({"name": name} | numbers for name, numbers in TRUTH.items()))
+    found = screen_effects(dataset, [effect_class(name) for name in (*TRUTH, *OTHERS)], pool)
+    assert not set(TRUTH) & {name for each in found.singles[:2] for name in each.names}
+    assert set(found.pairs[0].names) == set(TRUTH)
     # Far more than what two numbers cost.
     assert found.pairs[0].score > found.singles[0].score + 20
 
