@@ -170,7 +170,8 @@ def _block_powers(
 ) -> list[float]:
     """Power of chance in each of a channel's blocks, of one pair of repeats."""
     time = dataset.time(pair[0])
-    splitter = SlowFastSplit.of(time[is_recorded(dataset.time(pair[1]), time)])
+    time = time[is_recorded(dataset.time(pair[1]), time)]
+    splitter = SlowFastSplit.of(time, dataset.runs[pair[0]].observation.mean_speed)
     difference = repeat_difference(dataset, pair, residual, response)[index]
     parts = splitter.split(dataset.channels[index], difference[:, None]).values()
     return [repeat_power(part) if part.size else 0.0 for part in parts]

@@ -27,7 +27,7 @@ from types import MappingProxyType
 import numpy as np
 
 from diagnose.linear.bed import DEFAULT_BED, AbstractBed
-from diagnose.linear.residual_blocks import kinds_of
+from diagnose.linear.residual_blocks import PLACE_ERROR, kinds_of
 from diagnose.model.carriage_hold import holds_carriage
 
 Block = tuple[str, str]
@@ -59,8 +59,7 @@ def _default_model_error() -> Mapping[Block, float]:
             ("z", "level"): 6e-6,
             ("x", "slow"): 20e-6,
             ("x", "fast"): 20e-6,
-            # Another program's runs without any effect miss the level of x by so much.
-            ("x", "level"): 200e-6,
+            ("x", "level"): PLACE_ERROR,
             ("fx", "slow"): 0.3,
             ("fx", "fast"): 0.5,
             ("fz", "slow"): 0.3,

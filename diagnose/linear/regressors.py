@@ -131,7 +131,10 @@ class Regressors:
 
         both = dataset.map(pool, of)
         columns, residual = [c for c, _ in both], [r for _, r in both]
-        splits = [SlowFastSplit.of(dataset.time(run)) for run in dataset.run_numbers]
+        splits = [
+            SlowFastSplit.of(dataset.time(run), each.observation.mean_speed)
+            for run, each in enumerate(dataset.runs)
+        ]
         together = dataset.map(
             pool, lambda run: _parts(dataset, splits[run], columns[run], residual[run])
         )
@@ -193,7 +196,9 @@ class Regressors:
                 mean = float((split.bin_means**2).sum(axis=1).mean())
                 slow = mean * (2 if channel == "x" else 1)
                 # A run's x begins at what its first samples say, one of them at worst.
-                level = 1 / split.bin_means.shape[1] + (1 if channel == "x" else 0)
+                level = 1 / split.bin_means.shape[1]
+                if channel == "x":
+                    level = split.travel_share**2 * (1 + level)
                 part = {"slow": slow, "fast": 1 - mean, "level": level}[kind]
                 power.append(sigma**2 * part)
             found.append(float(np.mean(power)))

@@ -154,6 +154,14 @@ class Observation:
             for name, values, noise in zip(self.channels, self.values, self.noise, strict=True)
         }
 
+    @property
+    def mean_speed(self) -> float:
+        """Travel from the first sample to the last over their time [m/s]; 0 where x is missing."""
+        if "x" not in self.channels:
+            return 0.0
+        x, _ = self.by_channel()["x"]
+        return float((x[-1] - x[0]) / (self.time[-1] - self.time[0]))
+
 
 def sampling_intervals(time: np.ndarray) -> np.ndarray:
     """Whole usual intervals from the sample before [-].

@@ -14,7 +14,13 @@ from diagnose.linear.linear_fit import (
     floor_inflation,
     worth_by_block,
 )
-from diagnose.linear.residual_blocks import BIN_TIME, SlowFastSplit
+from diagnose.linear.residual_blocks import (
+    BIN_TIME,
+    CLOCK_ERROR,
+    PLACE_ERROR,
+    SlowFastSplit,
+    level_share,
+)
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.rig_runs import gather_runs
 
@@ -32,6 +38,13 @@ def test_an_error_of_speed_is_small_in_every_bin_and_adds_up_in_the_level():
     assert parts["slow"].ravel() == pytest.approx([6e-6] * 3)
     assert parts["level"].item() == pytest.approx(speed * TIME.mean())
     assert len(parts["fast"]) == len(TIME)
+
+
+def test_a_late_clock_is_as_small_in_a_fast_run_as_where_the_wheel_stands():
+    late, fast = 0.7 * CLOCK_ERROR, 0.5
+    parts = SlowFastSplit.of(TIME, fast).split("x", np.full((len(TIME), 1), late * fast))
+    assert parts["level"].item() == pytest.approx(0.7 * PLACE_ERROR, rel=0.01)
+    assert level_share(0.0) == 1
 
 
 def test_a_sinkage_is_split_into_bins_and_level():
@@ -61,7 +74,11 @@ def test_healthy_rigs_of_another_program_miss_the_level_of_x_by_its_model_error(
     dataset = RigDataset.of(gather_runs(paths, lambda _: None).runs)
     found = match_runs(without_step_errors(dataset, pool), AugmentedModel(), np.zeros(0), pool)
     x = dataset.channels.index("x")
-    level = float(np.sqrt(np.mean([each.residual[x].mean() ** 2 for each in found])))
+    missed = [
+        each.residual[x].mean() * level_share(run.observation.mean_speed)
+        for each, run in zip(found, dataset.runs, strict=True)
+    ]
+    level = float(np.sqrt(np.mean(np.square(missed))))
     error = DEFAULT_LINEAR_FIT.model_error["x", "level"]
     # An error so much smaller would call it a fault; so much larger would hide one for nothing.
     assert 0.75 * error < level < error
