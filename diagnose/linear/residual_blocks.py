@@ -19,7 +19,6 @@ import numpy as np
 # Length of the bins that separate slow from fast [s].
 BIN_TIME = 0.5
 
-
 # Channels whose mean over a run is a block of its own.
 LEVELLED = ("x", "z")
 
