@@ -35,6 +35,13 @@ def observation(time: np.ndarray) -> Observation:
     return Observation(time, ("z",), nothing, np.ones(1), np.ones(len(time), bool))
 
 
+def test_the_mean_speed_is_the_way_from_first_to_last_over_their_time():
+    time, compared = np.array([1.0, 1.5, 3.0]), np.ones(3, bool)
+    x = np.array([[0.1, 0.9, 0.5]])
+    assert Observation(time, ("x",), x, np.ones(1), compared).mean_speed == pytest.approx(0.2)
+    assert observation(time).mean_speed == 0.0
+
+
 def test_intervals_count_what_was_lost_and_not_what_came_a_little_late():
     time = np.array([0.0, 0.010, 0.0203, 0.030, 0.040, 0.080, 0.0897, 0.1])
     assert observation(time).intervals.tolist() == [np.inf, 1, 1, 1, 1, 4, 1, 1]
