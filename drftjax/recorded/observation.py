@@ -156,8 +156,8 @@ class Observation:
 
     @property
     def mean_speed(self) -> float:
-        """Travel from the first sample to the last over their time [m/s]; 0 where x is missing."""
-        if "x" not in self.channels:
+        """Travel from the first sample to the last over their time [m/s]; 0 without either."""
+        if "x" not in self.channels or len(self.time) < 2:
             return 0.0
         x, _ = self.by_channel()["x"]
         return float((x[-1] - x[0]) / (self.time[-1] - self.time[0]))

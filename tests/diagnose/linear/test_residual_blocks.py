@@ -41,6 +41,7 @@ def test_an_error_of_speed_is_small_in_every_bin_and_adds_up_in_the_level():
 
 
 def test_a_late_clock_is_as_small_in_a_fast_run_as_where_the_wheel_stands():
+    # In so fast a run the error of place adds half a hundredth to that of the clock.
     late, fast = 0.7 * CLOCK_ERROR, 0.5
     parts = SlowFastSplit.of(TIME, fast).split("x", np.full((len(TIME), 1), late * fast))
     assert parts["level"].item() == pytest.approx(0.7 * PLACE_ERROR, rel=0.01)

@@ -40,6 +40,7 @@ def test_the_mean_speed_is_the_way_from_first_to_last_over_their_time():
     x = np.array([[0.1, 0.9, 0.5]])
     assert Observation(time, ("x",), x, np.ones(1), compared).mean_speed == pytest.approx(0.2)
     assert observation(time).mean_speed == 0.0
+    assert Observation(time[:1], ("x",), x[:, :1], np.ones(1), compared[:1]).mean_speed == 0.0
 
 
 def test_intervals_count_what_was_lost_and_not_what_came_a_little_late():
