@@ -195,9 +195,9 @@ class Regressors:
                 sigma = float(observation.noise[observation.channels.index(channel)])
                 mean = float((split.bin_means**2).sum(axis=1).mean())
                 slow = mean * (2 if channel == "x" else 1)
-                # A run's x begins at what its first samples say, one of them at worst.
                 level = 1 / split.bin_means.shape[1]
                 if channel == "x":
+                    # A run's x begins at what its first samples say, one of them at worst.
                     level = split.travel_share**2 * (1 + level)
                 part = {"slow": slow, "fast": 1 - mean, "level": level}[kind]
                 power.append(sigma**2 * part)

@@ -85,8 +85,9 @@ def test_a_step_that_moves_zetas_far_is_gone_on_from_once(
     assert found.score == first.score + 5.0
 
 
-# Where levels count the responses are weighed anew so near to the optimum already.
-@pytest.mark.parametrize(("weights", "off"), [(WITHOUT_LEVELS, 0.3), (DEFAULT_LINEAR_FIT, 0.05)])
+# Where levels count the blocks are weighed anew nearer to the optimum: a tenth off, that moves the
+# small change by a third.
+@pytest.mark.parametrize(("weights", "off"), [(WITHOUT_LEVELS, 0.3), (DEFAULT_LINEAR_FIT, 0.08)])
 def test_numbers_without_a_condition_are_those_of_a_fit_without_it(pulled, pool, weights, off):
     """Also where the numbers are off what suits all runs: that is no fault of the condition."""
     regressors, settled = fitted(pulled, 3, pool, weights)
