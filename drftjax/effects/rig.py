@@ -13,6 +13,7 @@ from drftjax.effects.base import (
     StepContext,
     along_x,
     along_z,
+    shape,
     strength,
 )
 
@@ -57,6 +58,23 @@ class VerticalCoulomb(MemorylessLoad):
         return along_z(-self.force * jnp.tanh(velocity[1] / VERTICAL_STICK))
 
 
+class VerticalCreepFriction(MemorylessLoad):
+    """Dry friction of a vertical guide that creeps before it slides, by a width of its own."""
+
+    about: ClassVar = EffectInfo(
+        "vertical_creep_friction",
+        "rig",
+        "F_z = -force tanh(v_z / creep)",
+        "dry friction of a vertical guide that creeps before it slides",
+        form_of="vertical_coulomb",
+    )
+    force: Number = strength("N", 5.0, "friction", least=0.0)
+    creep: Number = shape("m/s", 3e-4, (3e-4, 1e-3), "speed over which the friction turns over")
+
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
+        return along_z(-self.force * jnp.tanh(velocity[1] / self.creep))
+
+
 class VerticalViscous(MemorylessLoad):
     """Viscous friction of the vertical guide."""
 
@@ -82,6 +100,23 @@ class HorizontalCoulomb(MemorylessLoad):
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
         return along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
+
+
+class HorizontalCreepFriction(MemorylessLoad):
+    """Dry friction of a carriage that creeps before it slides, by a width of its own."""
+
+    about: ClassVar = EffectInfo(
+        "horizontal_creep_friction",
+        "rig",
+        "F_x = -force tanh(v_x / creep)",
+        "dry friction of a carriage that creeps before it slides",
+        form_of="horizontal_coulomb",
+    )
+    force: Number = strength("N", 3.0, "friction", least=0.0)
+    creep: Number = shape("m/s", 3e-3, (3e-3, 1e-2), "speed over which the friction turns over")
+
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
+        return along_x(-self.force * jnp.tanh(velocity[0] / self.creep))
 
 
 class HorizontalViscous(MemorylessLoad):
@@ -153,13 +188,32 @@ class VerticalSpring(AbstractLoad):
         return along_z(-self.stiffness * (position[1] - memory))
 
 
+class SurfaceSpring(MemorylessLoad):
+    """A vertical force that grows with sinkage from the undisturbed surface."""
+
+    about: ClassVar = EffectInfo(
+        "surface_spring",
+        "rig",
+        "F_z = stiffness H",
+        "a vertical force proportional to sinkage, none at the undisturbed surface",
+        form_of="vertical_spring",
+    )
+    stiffness: Number = strength("N/m", 500.0, "upward force per sinkage")
+
+    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
+        return along_z(-self.stiffness * position[1])
+
+
 RIG = (
     VerticalLoad,
     VerticalCoulomb,
+    VerticalCreepFriction,
     VerticalViscous,
     HorizontalCoulomb,
+    HorizontalCreepFriction,
     HorizontalViscous,
     Drawbar,
     CableSpring,
     VerticalSpring,
+    SurfaceSpring,
 )

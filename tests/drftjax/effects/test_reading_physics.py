@@ -236,6 +236,29 @@ def test_slip_ratio_softening_takes_its_share_of_a_slip_ratio_at_any_speed():
             assert float(effect.factor(now, ())) == pytest.approx(1 - 0.2 * slip, rel=CLOSE)
 
 
+@pytest.mark.parametrize(
+    ("creeping", "dry", "viscous", "axis", "width"),
+    [
+        ("vertical_creep_friction", "vertical_coulomb", "vertical_viscous", 1, 1e-4),
+        ("horizontal_creep_friction", "horizontal_coulomb", "horizontal_viscous", 0, 1e-3),
+    ],
+)
+def test_creeping_friction_lies_between_dry_and_viscous(creeping, dry, viscous, axis, width):
+    now = moment(0.0, 0.0, DT)
+
+    def force(name, speed, **numbers):
+        velocity = jnp.full(2, speed)
+        return float(KNOWN[name](**numbers).load(jnp.zeros(2), velocity, now, ())[axis])
+
+    for speed in (-3 * width, 0.5 * width, 2 * width):
+        narrow = force(creeping, speed, force=6.0, creep=width)
+        assert narrow == pytest.approx(force(dry, speed, force=6.0), rel=CLOSE)
+    # A hundredth of the width: tanh u = u - u^3/3.
+    wide = force(creeping, width, force=6.0, creep=100 * width)
+    damped = force(viscous, width, damping=6.0 / (100 * width))
+    assert wide == pytest.approx(damped * (1 - 1e-4 / 3), rel=1e-8)
+
+
 def test_stress_as_a_power_of_depth_is_a_straight_line_in_logarithms_and_as_before_at_20_mm():
     excess, bare = -0.3, simulator(RIM)
     power = replace(bare, effects=(KNOWN["depth_power"](excess=excess),))

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from drftjax.common.errors import InputError
-from drftjax.effects.rig import Drawbar, VerticalCoulomb, VerticalLoad, VerticalSpring
+from drftjax.effects.rig import (
+    Drawbar,
+    SurfaceSpring,
+    VerticalCoulomb,
+    VerticalLoad,
+    VerticalSpring,
+)
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.simulation.simulator import Simulator
 from drftjax.simulation.statics import (
@@ -204,6 +210,8 @@ def test_another_load_or_zeta_compiles_nothing(compiled):
         (VerticalLoad(force=-30.0), -30.0),
         # It counts from where the wheel stands.
         (VerticalSpring(stiffness=800.0), 0.0),
+        # It counts from the undisturbed surface.
+        (SurfaceSpring(stiffness=800.0), -800.0 * SINKAGE),
         (Drawbar(force=30.0), 0.0),
         (VerticalCoulomb(force=30.0), 0.0),
     ],
