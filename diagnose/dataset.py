@@ -25,7 +25,7 @@ from diagnose.model.carriage_hold import CarriageHold
 from diagnose.run_pool import RunPool
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
-from drftjax.physics.wheel import DEFAULT_REACH, GrouserWheel
+from drftjax.physics.wheel import DEFAULT_REACH
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
 from drftjax.recorded.matched_zeta import (
     ZetaMatchSettings,
@@ -37,6 +37,7 @@ from drftjax.simulation.trial import Trial
 
 Result = TypeVar("Result")
 
+PLAIN_SECTORS = 32  # of a bare rim, of which those that reach the sand are carried
 # Lengths are padded to this at least [samples]; padding costs next to nothing.
 MIN_PADDED_SIZE = 2304
 
@@ -156,17 +157,20 @@ class RigDataset:
     def with_fewer_plates(self) -> "RigDataset":
         """The same dataset without plates that stay above the sand: no change but for roundings.
 
-        A simulation that sinks far deeper than was recorded returns NaN.
+        A bare rim is cut anew, into plates of nearly the same length. A simulation that sinks far
+        deeper than was recorded returns NaN.
         """
-        if not all(isinstance(each.trial.simulator.wheel, GrouserWheel) for each in self.runs):
+        shapes = {each.setup.wheel.shape for each in self.runs}
+        if len(shapes) > 1 or "outline" in shapes:
             return self
         z = self.channels.index("z")
         deepest = max(
             float(np.nanmax(-self.recording(run)[z], initial=0)) for run in self.run_numbers
         )
         wheel = self.runs[0].setup.wheel
-        for sectors in range(1, wheel.grouser_count // 2):
-            reach = sectors * 2 * math.pi / wheel.grouser_count
+        sectors = wheel.grouser_count if wheel.shape == "grouser" else PLAIN_SECTORS
+        for number in range(1, sectors // 2):
+            reach = number * 2 * math.pi / sectors
             limit = MAX_COVERED_SHARE * float(wheel.build(reach).cut().sinkage_limit)
             if reach < DEFAULT_REACH and limit > self.settings.plate_margin * deepest:
                 fewer = [_with_plates_within(reach, each) for each in self.runs]

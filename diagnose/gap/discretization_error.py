@@ -160,7 +160,7 @@ def with_finer_plates(
 ) -> PreparedRun:
     """The run with its wheel cut into finer plates, which begin to lead over a smaller width."""
     wheel, integrator = run.setup.wheel, run.trial.simulator.integrator
-    wheel = msgspec.structs.replace(wheel, plate_size=wheel.plate_size / settings.refinement)
+    wheel = msgspec.structs.replace(wheel, plate_size=wheel.plate_length / settings.refinement)
     return replace(
         run,
         setup=msgspec.structs.replace(run.setup, wheel=wheel),

@@ -26,6 +26,12 @@ UNIT_HINT = " (lengths are in metres)"
 DEFAULT_PLATE_SIZE = 0.004
 
 
+# Of a bare rim. Its plates do not turn, so the edge of those that lead jumps from one to the next
+# and stays there, where turning ones average out. With plates of 4 mm a healthy rig is off by up to
+# 0.15 mm in z while its wheel speeds up.
+PLAIN_PLATE_SIZE = 0.001
+
+
 DEFAULT_REACH = math.pi / 2
 
 
@@ -187,7 +193,7 @@ class PlainWheel(AbstractWheel):
         radius: Real = 0.150,
         width: Real = 0.120,
         *,
-        plate_size: float = DEFAULT_PLATE_SIZE,
+        plate_size: float = PLAIN_PLATE_SIZE,
         reach: float = DEFAULT_REACH,
     ):
         _check_rim(radius, width)

@@ -29,6 +29,7 @@ from drftjax.physics.wheel import (
     DEFAULT_PLATE_SIZE,
     DEFAULT_REACH,
     LARGEST_RADIUS,
+    PLAIN_PLATE_SIZE,
     AbstractWheel,
     GrouserWheel,
     PlainWheel,
@@ -61,7 +62,10 @@ else:
 
 
 class WheelSetUp(CheckedTable):
-    """[wheel]: lengths in metres. `outline` names a CSV file, or `points` lists its corners."""
+    """[wheel]: lengths in metres. `outline` names a CSV file, or `points` lists its corners.
+
+    `plate_size` is 1 mm for a bare rim and 4 mm for other wheels where it is not given.
+    """
 
     place: ClassVar[str] = "wheel"
 
@@ -74,25 +78,33 @@ class WheelSetUp(CheckedTable):
     grouser_fraction: float = 1.0
     outline: str | None = None
     points: list[tuple[float, float]] | None = None
-    plate_size: float = DEFAULT_PLATE_SIZE
+    plate_size: float | None = None
+
+    @property
+    def plate_length(self) -> float:
+        """Length that no plate exceeds [m]."""
+        if self.plate_size is not None:
+            return self.plate_size
+        return PLAIN_PLATE_SIZE if self.shape == "plain" else DEFAULT_PLATE_SIZE
 
     def check(self) -> None:
+        self.plate_size = self.plate_length  # so that files say it
         # The corners of an outline in a file are read by `find_outline`.
         if self.shape != "outline" or self.outline is None:
             self.build()
 
     def build(self, reach: float = DEFAULT_REACH) -> AbstractWheel:
-        """The wheel; one with grousers carries those that come within `reach` [rad] of the sand."""
+        """The wheel as far as it comes within `reach` [rad] of straight down; an outline whole."""
         if self.shape != "outline" and (self.outline is not None or self.points is not None):
             raise InputError(
                 f"[wheel] gives an outline, but its shape is {self.shape!r}; say shape = 'outline'"
             )
         if self.shape == "plain":
-            return PlainWheel(self.radius, self.width, plate_size=self.plate_size)
+            return PlainWheel(self.radius, self.width, plate_size=self.plate_length, reach=reach)
         if self.shape == "outline":
             if self.points is None:
                 raise InputError("[wheel] of shape 'outline' needs points, or outline = a CSV file")
-            return OutlineWheel(self.points, self.radius, self.width, plate_size=self.plate_size)
+            return OutlineWheel(self.points, self.radius, self.width, plate_size=self.plate_length)
         return GrouserWheel(
             self.radius,
             self.width,
@@ -100,7 +112,7 @@ class WheelSetUp(CheckedTable):
             self.grouser_height,
             self.grouser_thickness,
             self.grouser_fraction,
-            plate_size=self.plate_size,
+            plate_size=self.plate_length,
             reach=reach,
         )
 

@@ -79,7 +79,7 @@ def objective_of(
         duration: Of the run [s]; all that the limits allow where none is given.
     """
     setup = copy.deepcopy(judge.base)
-    setup.wheel.plate_size = max(search.plate_size, setup.wheel.plate_size)
+    setup.wheel.plate_size = max(search.plate_size, setup.wheel.plate_length)
     limit = judge.limits
     lasts = limit.duration if duration is None else duration
     turn = limit.travel / setup.wheel.radius

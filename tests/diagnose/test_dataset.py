@@ -16,7 +16,8 @@ from diagnose.dataset import (
 from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, predict
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.observation import white_noise
-from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.recorded.prepared_run import PreparedRun, prepare_run
+from drftjax.setups.setup import WheelSetUp
 from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
@@ -126,3 +127,18 @@ def test_a_wheel_that_sinks_as_deep_as_its_plates_reach_keeps_them_all():
     each = coarse("deep", recorded(setup_of(zeta=0.2)))
     dataset = RigDataset.of([each])
     assert dataset.with_fewer_plates() is dataset
+
+
+def test_a_bare_rim_carries_the_plates_that_reach_the_sand():
+    setup = setup_of()
+    setup.wheel = WheelSetUp("plain")
+    setup.start.sinkage = 0.02
+    each = prepare_run("bare", recorded(setup), step=0.01)
+    whole = RigDataset.of([dataclasses.replace(each, setup=setup, trial=setup.trial(interval=0))])
+    narrow = whole.with_fewer_plates()
+    carried, every = (e.trials[0].simulator.wheel for e in (narrow, whole))
+    assert carried.rim_plates < 0.75 * every.rim_plates
+    model, nothing = AugmentedModel(), np.zeros(0)
+    ours, theirs = (e.prediction(model, 0, 0.0, nothing) for e in (narrow, whole))
+    # Plates of 1 mm, shorter by under a hundredth: less than the instruments' noise [m].
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=10e-6)

@@ -7,7 +7,13 @@ import jax.numpy as jnp
 
 from drftjax.common.arrays import as_real
 from drftjax.physics.rig import DrivenCarriage, FreeCarriage, Rig
-from drftjax.physics.wheel import AbstractWheel, GrouserWheel, PlainWheel
+from drftjax.physics.wheel import (
+    DEFAULT_PLATE_SIZE,
+    PLAIN_PLATE_SIZE,
+    AbstractWheel,
+    GrouserWheel,
+    PlainWheel,
+)
 
 GRAVITY = 9.81  # [m/s2]
 
@@ -52,7 +58,8 @@ class PlantRig:
         Wheels with as many grousers have as many plates, whatever their size, and share a program.
 
         Args:
-            plate_size: Length of a plate on a wheel of the default size [m].
+            plate_size: Length of a plate on a wheel of the default size [m]; of a bare rim that
+                part of it by which a fit's are shorter.
         """
         if self.grouser_count:
             wheel = GrouserWheel(grouser_count=self.grouser_count, plate_size=plate_size)
@@ -63,7 +70,8 @@ class PlantRig:
                 tuple(map(as_real, sizes)),
             )
         sizes = as_real(self.radius), as_real(self.width)
-        return eqx.tree_at(lambda w: (w.radius, w.width), PlainWheel(plate_size=plate_size), sizes)
+        bare = PlainWheel(plate_size=plate_size * PLAIN_PLATE_SIZE / DEFAULT_PLATE_SIZE)
+        return eqx.tree_at(lambda w: (w.radius, w.width), bare, sizes)
 
     def frame(self, mass_z: float) -> Rig:
         """Masses and carriage of the rig with this vertical mass [kg]."""

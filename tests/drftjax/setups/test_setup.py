@@ -16,7 +16,7 @@ from drftjax.physics.terrain import KnotZeta
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.runlog.record import Measured, RecordedCommand, RecordedSetup, RunLog
 from drftjax.setups.from_run import setup_from_run
-from drftjax.setups.setup import CommandSetUp, SetUp, read_setup
+from drftjax.setups.setup import CommandSetUp, SetUp, WheelSetUp, read_setup
 
 PAPER = Path(__file__).parents[3] / "data" / "paper.toml"
 
@@ -39,6 +39,12 @@ def test_paper_set_up_spells_out_the_defaults():
     paper = read_setup(PAPER)
     bare = SetUp(command=paper.command, title=paper.title)
     assert msgspec.to_builtins(paper) == msgspec.to_builtins(bare)
+
+
+@pytest.mark.parametrize(("shape", "length"), [("grouser", 0.004), ("plain", 0.001)])
+def test_a_bare_rim_has_shorter_plates_unless_the_set_up_says_so(shape, length):
+    assert WheelSetUp(shape=shape).plate_size == length
+    assert WheelSetUp(shape=shape, plate_size=0.002).plate_size == 0.002
 
 
 @pytest.mark.parametrize(

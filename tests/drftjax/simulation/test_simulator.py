@@ -17,6 +17,7 @@ from drftjax.physics.stress import QuasiStatic
 from drftjax.physics.terrain import ConstantZeta, Terrain
 from drftjax.physics.wheel import GrouserWheel, PlainWheel
 from drftjax.runlog.record import RecordedCommand
+from drftjax.setups.setup import CommandSetUp, RigSetUp, SetUp, WheelSetUp
 from drftjax.simulation.simulator import LARGEST_GROWTH, Simulator
 from drftjax.simulation.statics import DEFAULT_STATICS, REST, sinkage_under_load
 from drftjax.simulation.trial import Trial
@@ -129,6 +130,26 @@ def test_quasi_static_speed_is_proportional_to_omega_at_the_same_sinkage(wheel):
         depths.append(float(jnp.mean(rows.sinkage[last])))
     np.testing.assert_allclose(speeds, speeds[0], rtol=RATE_INDEPENDENCE)
     np.testing.assert_allclose(depths, depths[0], rtol=RATE_INDEPENDENCE)
+
+
+def test_a_small_bare_rim_speeds_up_as_with_far_shorter_plates():
+    rig = RigSetUp(mass_x=1.47, mass_z=1.66)
+    command = CommandSetUp([0.0, 2.0, 7.0, 12.0], [0.0, 0.0, 1.0, 1.0])
+
+    def rows(plate_size):
+        wheel = WheelSetUp("plain", 0.0545, 0.045, plate_size=plate_size)
+        setup = SetUp(command, wheel=wheel, rig=rig)
+        setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, 0.75))
+        return whole_run(setup.trial(interval=0.1))
+
+    fine = rows(0.00025)
+    usual, coarse = (
+        float(jnp.sqrt(jnp.mean((each.z - fine.z) ** 2))) for each in (rows(None), rows(0.004))
+    )
+    # The error is of first order in the plates, four times as long; uncut it would pass for an
+    # effect [m].
+    assert coarse > 100e-6
+    assert usual < coarse / 3
 
 
 def test_dynamic_terms_make_a_fast_wheel_differ():
