@@ -42,9 +42,11 @@ def test_paper_set_up_spells_out_the_defaults():
 
 
 @pytest.mark.parametrize(("shape", "length"), [("grouser", 0.004), ("plain", 0.001)])
-def test_a_bare_rim_has_shorter_plates_unless_the_set_up_says_so(shape, length):
+def test_bare_rims_and_small_wheels_have_shorter_plates_unless_the_set_up_says_so(shape, length):
     assert WheelSetUp(shape=shape).plate_size == length
-    assert WheelSetUp(shape=shape, plate_size=0.002).plate_size == 0.002
+    assert WheelSetUp(shape=shape, radius=0.3).plate_size == length
+    assert WheelSetUp(shape=shape, radius=0.075).plate_size == length / 2
+    assert WheelSetUp(shape=shape, radius=0.075, plate_size=0.002).plate_size == 0.002
 
 
 @pytest.mark.parametrize(
