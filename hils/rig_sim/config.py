@@ -31,10 +31,14 @@ from hils.rig_sim.sensors import Instruments, RandomStream, RigClock
 
 
 class PhysicsSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """[physics]: the rig's own integrator step [s] and plates [m], finer than the loop's."""
+    """[physics]: the rig's own integrator step [s] and plates [m], finer than the loop's.
+
+    Plates are half as long as those of the wheel's set-up where no length is given: 2 mm on the
+    paper's wheel.
+    """
 
     step: float = 1e-3
-    plate_size: float = 2e-3
+    plate_size: float | None = None
 
 
 class LimitSetUp(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -96,7 +100,9 @@ class VirtualSetUp(msgspec.Struct, forbid_unknown_fields=True):
             InputError: says which number cannot be.
         """
         self.check()
-        wheel = msgspec.structs.replace(self.wheel, plate_size=self.physics.plate_size)
+        given = self.physics.plate_size
+        plate_size = self.wheel.plate_length / 2 if given is None else given
+        wheel = msgspec.structs.replace(self.wheel, plate_size=plate_size)
         return Simulator(
             wheel.build(),
             self.terrain.build(),

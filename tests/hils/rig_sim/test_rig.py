@@ -411,15 +411,24 @@ def test_file_of_a_virtual_rig(tmp_path):
 
 def test_set_up_of_a_run_serves_as_it_is():
     setup = read_virtual_setup(DATA / "paper.toml")
-    assert setup.physics.plate_size < setup.wheel.plate_size
+    assert setup.simulator().wheel.rim_plates > setup.wheel.build().rim_plates
+
+
+@pytest.mark.parametrize("wheel", ["shape = 'plain'", "radius = 0.05\ngrouser_height = 0.005"])
+def test_a_rig_has_shorter_plates_than_its_loop_on_any_wheel(tmp_path, wheel):
+    path = tmp_path / "rig.toml"
+    path.write_text(f"[wheel]\n{wheel}\n")
+    setup = read_virtual_setup(path)
+    assert setup.simulator().wheel.rim_plates > 1.5 * setup.wheel.build().rim_plates
 
 
 def test_example_file_is_a_rig_whose_sand_loosens():
     setup = read_virtual_setup(DATA / "virtual_rig.toml")
     assert [each["name"] for each in setup.effects] == ["loosening"]
-    like_default = (setup.physics, setup.instruments, setup.limits)
+    like_default = (setup.physics.step, setup.instruments, setup.limits)
     default = VirtualSetUp()
-    assert like_default == (default.physics, default.instruments, default.limits)
+    assert like_default == (default.physics.step, default.instruments, default.limits)
+    assert setup.simulator().wheel.rim_plates == default.simulator().wheel.rim_plates
     assert setup.clock.ahead == pytest.approx(default.clock.ahead)
 
 
