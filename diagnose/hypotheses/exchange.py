@@ -20,6 +20,7 @@ from diagnose.hypotheses.set_candidates import (
 from diagnose.hypotheses.set_screening import without_effect
 from diagnose.linear.regressors import Regressors
 from diagnose.run_pool import RunPool
+from drftjax.effects.catalogue import reported_names
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class ExchangeSettings:
             further behind the set in log score [-]; others may do better from another start.
         max_deficit: Beyond `min_alike` none is tried that a linear fit puts further behind it [-].
         min_alike: Effects tried in the place of one in any case: where the other did much, a linear
-            fit puts one that does as well far behind.
+            fit puts one that does as well far behind, and even behind others.
         max_alike: The same at most.
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
@@ -40,7 +41,7 @@ class ExchangeSettings:
 
     max_known_deficit: float = 30.0
     max_deficit: float = 50.0
-    min_alike: int = 2
+    min_alike: int = 3
     max_alike: int = 6
     max_continued: int = 2
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS[-2:]
@@ -88,12 +89,14 @@ def exchanged_sets(
         orders = with_any(
             regressors, rest, leading, best.fit.mean_square, pool, settings.rankings, given
         )
+        # Of an effect of several forms the one that a linear fit ranks first: others would take
+        # the places of further effects.
         starts: dict[frozenset[str], SetCandidate] = {}
         for each in taking_turns([sorted(order, key=lambda e: -e.score) for order in orders]):
             is_near = each.score > best.score - settings.max_deficit
             is_new = each.names not in tried and not each.has_two_forms
             if is_new and (is_near or len(starts) < settings.min_alike):
-                starts.setdefault(each.names, each)
+                starts.setdefault(frozenset(reported_names(each.names)), each)
         found.append([each.build() for each in [*starts.values()][: settings.max_alike]])
     return found
 
