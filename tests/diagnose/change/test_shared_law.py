@@ -9,7 +9,7 @@ from diagnose.dataset import RigDataset, match_initial_zeta
 from diagnose.model.augmented_model import REFERENCE
 from diagnose.run_pool import RunPool
 from drftjax.runlog.record import RunLog
-from drftjax.setups.setup import read_setup
+from drftjax.setups.setup import WheelSetUp
 from tests.helpers.synthetic_runs import recorded, setup_of
 
 # A small wheel that all but stays where it is behind its heap; seconds and rad/s.
@@ -31,9 +31,10 @@ def runs() -> dict[str, RunLog]:
     found = {}
     for number, profile in enumerate(PROFILES):
         setup = setup_of(profile, 1.2)
-        setup.wheel.plate_size = read_setup("data/paper.toml").wheel.plate_size
-        setup.wheel.radius, setup.wheel.width = 0.062, 0.0676
-        setup.wheel.grouser_height = setup.wheel.grouser_thickness = 0.003
+        # With the plates with which its run log is simulated again.
+        setup.wheel = WheelSetUp(
+            radius=0.062, width=0.0676, grouser_height=0.003, grouser_thickness=0.003
+        )
         setup.rig.mass_x = setup.rig.mass_z = 3.1
         setup.effects = [
             {"name": "depth_power", "excess": EXCESS},

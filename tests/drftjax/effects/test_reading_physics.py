@@ -259,6 +259,13 @@ def test_creeping_friction_lies_between_dry_and_viscous(creeping, dry, viscous, 
     assert wide == pytest.approx(damped * (1 - 1e-4 / 3), rel=1e-8)
 
 
+def test_a_surface_spring_pushes_up_in_proportion_to_the_whole_sinkage():
+    spring = KNOWN["surface_spring"](stiffness=800.0)
+    for sinkage in (0.0, 0.01, 0.03):
+        force = spring.load(jnp.array([0.2, -sinkage]), jnp.zeros(2), moment(0.1, 1.0, DT), ())
+        np.testing.assert_allclose(force, [0.0, 800.0 * sinkage], atol=CLOSE)
+
+
 def test_stress_as_a_power_of_depth_is_a_straight_line_in_logarithms_and_as_before_at_20_mm():
     excess, bare = -0.3, simulator(RIM)
     power = replace(bare, effects=(KNOWN["depth_power"](excess=excess),))
