@@ -6,7 +6,7 @@ from functools import cache
 import pytest
 
 from diagnose.dataset import match_initial_zeta
-from diagnose.hypotheses.exchange import exchanged_sets
+from diagnose.hypotheses.exchange import ExchangeSettings, exchanged_sets
 from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import Screening, ScreeningResult
@@ -15,7 +15,7 @@ from diagnose.hypotheses.settings import DEFAULT_SCREENING
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import AugmentedModel, shared_model
-from drftjax.effects.catalogue import effect_class
+from drftjax.effects.catalogue import effect_class, reported_name
 from tests.helpers.rig_datasets import dataset_with
 
 # On a wheel that only goes forward a pull and friction are one, and a lag of the drive is nearly
@@ -34,8 +34,8 @@ TRUTH = (
 )
 
 
-def regressors_with(truth, pool) -> Regressors:
-    effects = [*map(effect_class, CANDIDATES)]
+def regressors_with(truth, pool, candidates=CANDIDATES) -> Regressors:
+    effects = [*map(effect_class, candidates)]
     dataset = replace(dataset_with(*truth), shared=shared_model(effects))
     linearized = linearize_runs(dataset, match_initial_zeta(dataset, pool), pool)
     return Regressors.of(dataset, linearized, effects, pool)
@@ -76,6 +76,16 @@ def test_beside_a_large_lag_a_pull_is_still_the_look_alike_of_friction(pool):
     # On a wheel that goes forward they are one. By responses about the reference model alone a rise
     # of the ground leads.
     assert names_in_place(regressors, pair, 0, pool)[0] == "drawbar"
+
+
+def test_forms_of_one_effect_take_one_place_of_the_three_that_are_tried_in_any_case(pool):
+    regressors = regressors_with(TRUTH, pool, (*CANDIDATES, "horizontal_creep_friction"))
+    of = {each.effect.about.name: each for each in regressors.variants}
+    start = linear_start(regressors, [of["drawbar"], of["speed_lag"]])
+    pair = relinearize(regressors, refine(regressors, start, 2, pool), pool)
+    for place in (0, 1):
+        tried = [reported_name(name) for name in names_in_place(regressors, pair, place, pool)]
+        assert len(tried) == len(set(tried)) >= ExchangeSettings().min_alike
 
 
 def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):

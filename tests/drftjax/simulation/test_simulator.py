@@ -142,14 +142,14 @@ def test_a_small_bare_rim_speeds_up_as_with_far_shorter_plates():
         setup.start.sinkage = float(sinkage_under_load(setup.trial().simulator, 0.75))
         return whole_run(setup.trial(interval=0.1))
 
-    fine = rows(0.00025)
+    fine = rows(0.0001)
     usual, coarse = (
         float(jnp.sqrt(jnp.mean((each.z - fine.z) ** 2))) for each in (rows(None), rows(0.004))
     )
-    # The error is of first order in the plates, four times as long; uncut it would pass for an
+    # The error is of first order in the plates' length, 0.36 and 4 mm; the larger would pass for an
     # effect [m].
     assert coarse > 100e-6
-    assert usual < coarse / 3
+    assert usual < coarse / 5
 
 
 def test_dynamic_terms_make_a_fast_wheel_differ():
