@@ -92,6 +92,10 @@ class AbstractBalance(eqx.Module):
         """Growth [-] that is believed; along an axis that grows by more, it is scaled to this."""
 
     @abc.abstractmethod
+    def further_guesses(self) -> Float[Array, "guesses 2"]:
+        """Velocities [m/s] that the search begins anew from, in turn, where it gets stuck."""
+
+    @abc.abstractmethod
     def speed_scale(self) -> Float[Array, ""]:
         """Speed [m/s] that the tolerance of the search is a share of."""
 
@@ -107,7 +111,7 @@ class NewtonSettings(eqx.Module):
         tolerance: A change of velocity, as a share of the balance's scale, below which the root is
             found: for the paper's wheel a thousandth of a millimetre in 100 s.
         most_evaluations: Evaluations of the force at most. A wheel that rolls needs 2 to 4, one
-            that is stopped within a step some 20.
+            that is stopped within a step some 20, and one that begins anew as many again.
         shrink: Factor on the part of a Newton step that is tried next where the residual does not
             fall. Dry friction turns over within a millionth of the step: a third gets there in
             fewer evaluations than a half (17 to 27 of a block on a rough floor).
@@ -117,7 +121,7 @@ class NewtonSettings(eqx.Module):
     """
 
     tolerance: float = eqx.field(static=True, default=1e-8)
-    most_evaluations: int = eqx.field(static=True, default=60)
+    most_evaluations: int = eqx.field(static=True, default=200)
     shrink: float = eqx.field(static=True, default=0.3)
     grow: float = eqx.field(static=True, default=2.0)
     shortest: float = eqx.field(static=True, default=1e-9)
@@ -134,7 +138,7 @@ class Root(eqx.Module):
         jacobian: Derivative of the residual by the velocity [kg], at the last evaluation.
         forces_slope: Derivative of the forces by the velocity [their unit s/m], there.
         evaluations: Evaluations of the force.
-        found: Whether the last change of velocity was under the tolerance.
+        found: Whether a whole Newton step from there is under the tolerance.
     """
 
     velocity: Pair
@@ -144,6 +148,26 @@ class Root(eqx.Module):
     forces_slope: Float[Array, "forces 2"]
     evaluations: Int[Array, ""]
     found: Bool[Array, ""]
+
+
+class Search(eqx.Module):
+    """How far a search for a root has come.
+
+    Attributes:
+        root: Last velocity that was accepted, and the balance there.
+        step: Newton step from there [m/s].
+        part: Part of it that is tried next [-].
+        stuck: Of the places that it got stuck in, that with the smallest residual.
+        begun: Number of guesses that it began from.
+        ended: Whether it found the root, or has no further guess.
+    """
+
+    root: Root
+    step: Pair
+    part: Float[Array, ""]
+    stuck: Root
+    begun: Int[Array, ""]
+    ended: Bool[Array, ""]
 
 
 def _linearized(balance: AbstractBalance, velocity: Pair) -> tuple[tuple, Matrix, Array]:
@@ -165,9 +189,12 @@ def _evaluated(balance: AbstractBalance, velocity: Pair, evaluations: Array) -> 
 
 
 def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> Root:
-    """Root of the balance by Newton's method with step halving.
+    """Root of the balance by Newton's method with step halving, from one guess after another.
 
-    The last step is taken without another evaluation: forces go along by their slope.
+    Where the residual of a force that jumps falls along no part of a Newton step, and yet there is
+    no root, the search is stuck, and begins anew: a wheel that stands and is pulled aside with a
+    thousandth of its weight rests on plates of which half begin to part from the sand. The last
+    step is taken without another evaluation: forces go along by their slope.
 
     Args:
         balance: Whose root is looked for.
@@ -180,44 +207,75 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
     def is_short(step: Pair) -> Bool[Array, ""]:
         return jnp.max(jnp.abs(step)) < tolerance
 
-    def judged(root: Root, step: Pair) -> Root:
-        return eqx.tree_at(lambda r: r.found, root, is_short(step))
+    guesses = jnp.concatenate([guess[None], balance.further_guesses()])
 
-    def step_of(root: Root) -> Pair:
-        return -balance.solve(root.jacobian, root.residual)
+    def going_on(search: Search) -> Bool[Array, ""]:
+        return ~search.ended & (search.root.evaluations < settings.most_evaluations)
 
-    def going_on(carried: tuple[Root, Pair, Array]) -> Bool[Array, ""]:
-        root, _, _ = carried
-        return ~root.found & (root.evaluations < settings.most_evaluations)
-
-    def turn(carried: tuple[Root, Pair, Array]) -> tuple[Root, Pair, Array]:
-        root, step, part = carried
+    def turn(search: Search) -> Search:
+        root, step, part = search.root, search.step, search.part
         tried = _evaluated(balance, root.velocity + part * step, root.evaluations + 1)
         bound = (1 - settings.decrease * part) * balance.size(root.residual) ** 2
         accepted = balance.size(tried.residual) ** 2 <= bound
         accepted |= part <= settings.shortest
-        root = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), tried, root)
-        root = eqx.tree_at(lambda r: r.evaluations, root, tried.evaluations)
-        step = jnp.where(accepted, step_of(root), step)
+        root = eqx.tree_at(
+            lambda r: r.evaluations, _where(accepted, tried, root), tried.evaluations
+        )
+        step = jnp.where(accepted, -balance.solve(root.jacobian, root.residual), step)
         grown = jnp.minimum(1, settings.grow * part)
         part = jnp.where(accepted, grown, settings.shrink * part).astype(part.dtype)
-        return judged(root, part * step), step, part
+        root = eqx.tree_at(lambda r: r.found, root, is_short(step))
+        stuck = is_short(part * step) & ~root.found
+        # The best of all places that it got stuck in is the end, if no guess leads to a root.
+        known = search.stuck
+        better = stuck & (balance.size(root.residual) < balance.size(known.residual))
+        known = _where(better, root, known)
+        begun = search.begun + jnp.where(stuck, 1, 0)
+        again = stuck & (begun <= len(guesses))
+        # Like the first turn, the next one is at a guess.
+        anew = _first(guesses[jnp.minimum(begun, len(guesses)) - 1], root.evaluations, balance)
+        return Search(
+            _where(again, anew, root),
+            jnp.where(again, 0, step),
+            jnp.where(again, 1, part).astype(part.dtype),
+            known,
+            begun,
+            root.found | (stuck & ~again),
+        )
 
     # The first turn is at the guess, and is accepted: so the force stands in the program once.
-    first = Root(
+    first = _first(guess, jnp.asarray(0), balance)
+    begun = jnp.asarray(1)
+    end = jax.lax.while_loop(
+        going_on,
+        turn,
+        Search(first, jnp.zeros_like(guess), jnp.ones((), guess.dtype), first, begun, first.found),
+    )
+    root = end.root
+    failed = ~root.found & (balance.size(end.stuck.residual) < balance.size(root.residual))
+    best = eqx.tree_at(lambda r: r.evaluations, end.stuck, root.evaluations)
+    step = jnp.where(root.found, end.step, 0)
+    root = _where(failed, best, root)
+    ends = root.velocity + step, root.forces + root.forces_slope @ step
+    return eqx.tree_at(lambda r: (r.velocity, r.forces), root, ends)
+
+
+def _first(guess: Pair, evaluations: Array, balance: AbstractBalance) -> Root:
+    """Beginning of a search, before the balance is evaluated at the guess: anything is better."""
+    return Root(
         velocity=guess,
         residual=jnp.full_like(guess, jnp.inf),
         forces=jnp.zeros(balance.force_count, guess.dtype),
         jacobian=jnp.eye(2, dtype=guess.dtype),
         forces_slope=jnp.zeros((balance.force_count, 2), guess.dtype),
-        evaluations=jnp.asarray(0),
+        evaluations=evaluations,
         found=jnp.asarray(False),
     )
-    begun = first, jnp.zeros_like(guess), jnp.ones((), guess.dtype)
-    root, step, _ = jax.lax.while_loop(going_on, turn, begun)
-    step = jnp.where(is_short(step), step, 0)
-    ends = root.velocity + step, root.forces + root.forces_slope @ step
-    return eqx.tree_at(lambda r: (r.velocity, r.forces), root, ends)
+
+
+def _where(condition: Bool[Array, ""], first: Root, second: Root) -> Root:
+    """The first root where a condition holds, else the second."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), first, second)
 
 
 def root_of(

@@ -397,6 +397,12 @@ class StepBalance(AbstractBalance):
     def largest_growth(self) -> Float[Array, ""]:
         return LARGEST_GROWTH / self.state.growth
 
+    def further_guesses(self) -> Float[Array, "guesses 2"]:
+        # A wheel that comes to stand, and one that begins to fall.
+        rig = self.simulator.rig
+        falling = self.start + self.moment.dt * rig.load(self.start) / rig.mass()
+        return jnp.stack([jnp.zeros_like(falling), falling])
+
     def speed_scale(self) -> Float[Array, ""]:
         return jnp.sqrt(self.simulator.wheel.radius * self.simulator.rig.gravity)
 
