@@ -8,19 +8,27 @@ later makes up for it.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from diagnose.hypotheses.hypothesis import Hypothesis
-from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking
+import numpy as np
+
+from diagnose.hypotheses.hypothesis import Hypothesis, least_changes
+from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, fits_beside
 from diagnose.hypotheses.set_candidates import (
     SetCandidate,
     exact_beside,
+    joined_from_null,
     leading_beside,
     taking_turns,
     with_any,
 )
 from diagnose.hypotheses.set_screening import without_effect
-from diagnose.linear.regressors import Regressors
+from diagnose.linear.regressors import Regressors, ShapeVariant
 from diagnose.run_pool import RunPool
-from drftjax.effects.catalogue import reported_names
+from drftjax.effects.base import AbstractEffect
+from drftjax.effects.catalogue import catalogue, reported_name, reported_names, strengths
+
+# Logarithm of the ratio that two terms' shapes differ by at least [-]. Nearer ones together make up
+# for a value between two of the grid's, which the refinement of one finds.
+APART = 0.25
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,7 @@ def exchanged_sets(
     known: Sequence[Hypothesis],
     pool: RunPool,
     settings: ExchangeSettings = DEFAULT_EXCHANGE,
+    with_sums: bool = True,
 ) -> list[list[Hypothesis]]:
     """A set with one effect after the other replaced by others, each with a step proposed.
 
@@ -68,6 +77,7 @@ def exchanged_sets(
         known: Sets that were simulated already.
         pool: Threads.
         settings: Numbers of the choice.
+        with_sums: Sums of several terms are tried in an effect's place, too; see `sums_in_place`.
 
     Returns:
         By effect that is replaced.
@@ -85,7 +95,7 @@ def exchanged_sets(
     )
     given = exact_beside(regressors, best, by_rest, pool)
     found = []
-    for rest, leading in zip(rests, by_rest, strict=True):
+    for place, rest, leading in zip(places, rests, by_rest, strict=True):
         orders = with_any(
             regressors, rest, leading, best.fit.mean_square, pool, settings.rankings, given
         )
@@ -98,7 +108,79 @@ def exchanged_sets(
             if is_new and (is_near or len(starts) < settings.min_alike):
                 starts.setdefault(frozenset(reported_names(each.names)), each)
         found.append([each.build() for each in [*starts.values()][: settings.max_alike]])
+        if with_sums:
+            found[-1] += sums_in_place(regressors, best, place, pool)
     return found
+
+
+def sums_in_place(
+    regressors: Regressors, best: Hypothesis, place: int, pool: RunPool
+) -> list[Hypothesis]:
+    """A set with a sum of several terms in the place of another form of that effect.
+
+    A bed that nobody levelled has waves of many lengths. One term after the other is taken where a
+    linear fit of all terms beside the rest of the set does best, by the responses to one. Where one
+    term is in the set, it is the first, with its numbers.
+
+    Args:
+        regressors: The runs.
+        best: The set.
+        place: Of the effect among the set's.
+        pool: Threads.
+    """
+    here = best.model.effects[place].about
+    found = []
+    for kind in catalogue().values():
+        about = kind.about
+        of_effect = about.sum_of and about.form_of == reported_name(here.name)
+        terms = [v for v in regressors.variants if v.effect.about.name == about.sum_of]
+        if of_effect and terms and about.name != here.name:
+            start = _sum_beside(regressors, best, place, kind, terms, pool)
+            found.append(start)
+    return found
+
+
+def _sum_beside(
+    regressors: Regressors,
+    best: Hypothesis,
+    place: int,
+    kind: type[AbstractEffect],
+    terms: Sequence[ShapeVariant],
+    pool: RunPool,
+) -> Hypothesis:
+    """A set with the sum of those of some terms that do best, chosen one after the other."""
+    rest, has_first = _without(best, place), best.model.effects[place] is terms[0].effect
+    base = best if has_first else rest
+    own = np.array([f.index == place for f in best.model.free])
+    is_shape = np.array([f.scale is None for f in best.model.free])
+    chosen, values = list[ShapeVariant](), list[float]()
+    if has_first:
+        values = [*np.exp(best.coordinates[own & is_shape])]
+        chosen = [min(terms, key=lambda each: abs(np.log(each.shapes[0] / values[0])))]
+    matrices = regressors.gram_matrices_beside_all(base.columns, base.residual, base.log_zeta, pool)
+    to_fit = base.fit.mean_square, DEFAULT_RANKINGS[-1:], regressors.settings
+    fit, first, count = base.fit, len(chosen), len(base.coordinates)
+    while len(chosen) < len(strengths(kind)) // len(strengths(terms[0].effect)):
+        others = [
+            each
+            for each in terms
+            if all(abs(np.log(each.shapes[0] / known.shapes[0])) > APART for known in chosen)
+        ]
+        sets = [(*chosen[first:], each) for each in others]
+        (fits,) = fits_beside(matrices, least_changes(base), sets, *to_fit)
+        leading = max(range(len(fits)), key=lambda k: fits[k].score)
+        chosen.append(others[leading])
+        values += others[leading].shapes
+        fit = fits[leading]
+    added = fit.coefficients[count:]
+    change = fit.coefficients[:count]
+    if has_first:
+        added = np.r_[(best.coordinates + change)[own & ~is_shape], added]
+        change = change[~own]
+    columns = tuple(column for each in chosen for column in each.columns)
+    variant = ShapeVariant(kind, tuple(values), columns, neighbours=())
+    whole = replace(fit, coefficients=np.r_[change, added])
+    return joined_from_null(regressors, rest, [variant], whole)
 
 
 def _without(best: Hypothesis, place: int) -> Hypothesis:

@@ -153,6 +153,8 @@ def _shape_mix(
     regressors: Regressors, variant: ShapeVariant, axis: int, strength: np.ndarray
 ) -> ColumnMix:
     """A shape's column at these strengths: difference of its neighbours over that of their log."""
+    if not variant.neighbours:
+        return []
     before, after = (regressors.variants[number] for number in variant.neighbours[axis])
     apart = np.log(after.shapes[axis] / before.shapes[axis])
     if apart == 0:

@@ -42,7 +42,7 @@ ORDERED_STAGES = ("drive", "sensor")
 
 # Columns of the programs that differentiate. Each number of columns is a program of its own. With
 # that of zeta, eight fill a vector.
-COLUMN_COUNTS = (7, 15)
+COLUMN_COUNTS = (7, 15, 23)
 
 
 @dataclass(frozen=True)

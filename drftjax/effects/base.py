@@ -45,6 +45,8 @@ class EffectInfo:
             measured yet how well it is told from the others, or it takes longer than another form.
         channels: Channels among x, z, fx, fz, torque that it shows in, of which a diagnosis must
             compare one; empty where it moves the wheel, and so shows in any.
+        sum_of: Name of the effect that this is a sum of several of, with their strengths one after
+            the other, and then their shapes; a diagnosis tries it in the place of another form.
     """
 
     name: str
@@ -54,6 +56,7 @@ class EffectInfo:
     form_of: str = ""
     hypothesis: bool = True
     channels: tuple[str, ...] = ()
+    sum_of: str = ""
 
     def require_shown(self, compared: Collection[str]) -> None:
         """Refuse an effect that none of the compared channels shows.

@@ -28,6 +28,11 @@ def wavelength() -> Any:
     return shape("m", 0.4, tuple(0.1 * 1.15**k for k in range(20)), "wavelength")
 
 
+def one_wavelength(*starts: float) -> Any:
+    """A field: the length of one of several waves along x [m], by the middle of its starts."""
+    return shape("m", starts[len(starts) // 2], starts, "wavelength of one of the waves")
+
+
 def bell(x: Number, centre: Number, width: Number) -> Number:
     """A normal curve that is one at its centre; all in metres."""
     away = (x - centre) / width

@@ -21,10 +21,13 @@ from drftjax.effects.base import (
 Number = Float[Array, ""]
 
 
-def _waves(cosine: Number, sine: Number, length: Number, axle: Number) -> tuple[Number, Number]:
-    """Height [m] over that at x = 0, and slope [-], of waves along x at the axle [m]."""
+Places = Float[Array, "*places"]
+
+
+def _waves(cosine: Number, sine: Number, length: Number, x: Places) -> tuple[Places, Places]:
+    """Height [m] over that at x = 0, and slope [-], of waves along x at some places [m]."""
     turn = 2 * jnp.pi / length
-    across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
+    across, along = jnp.cos(turn * x), jnp.sin(turn * x)
     return cosine * (across - 1) + sine * along, turn * (sine * across - cosine * along)
 
 
@@ -72,6 +75,34 @@ class SurfaceUndulation(AbstractIncline):
 
     def plane(self, axle: Number) -> tuple[Number, Number]:
         return _waves(self.cosine, self.sine, self.length, axle)
+
+
+class SurfaceWaves(MemorylessSurface):
+    """Two height waves along x, under each plate for itself; the datum is the height at x = 0.
+
+    Where waves are hardly longer than the wheel no plane touches them all along it.
+    """
+
+    about: ClassVar = EffectInfo(
+        "surface_waves",
+        "terrain",
+        "h = Σ cosine (cos(2π x / length) - 1) + sine sin(2π x / length), at each plate",
+        "the surface is not flat: height waves of two lengths in x, shorter than the wheel or not",
+        form_of="surface_profile",
+        hypothesis=False,
+        sum_of="surface_profile",
+    )
+    first_cosine: Number = strength("m", 0.001, "amplitude of the first in phase with x = 0")
+    first_sine: Number = strength("m", 0.001, "its amplitude a quarter wave on")
+    second_cosine: Number = strength("m", 0.001, "amplitude of the second in phase with x = 0")
+    second_sine: Number = strength("m", 0.001, "its amplitude a quarter wave on")
+    first_length: Number = places.one_wavelength(0.4, 0.8, 1.6)
+    second_length: Number = places.one_wavelength(0.1, 0.2, 0.4)
+
+    def height(self, axle: Number, ahead: Float[Array, " plates"], memory: Memory) -> Array:
+        first = _waves(self.first_cosine, self.first_sine, self.first_length, axle + ahead)
+        second = _waves(self.second_cosine, self.second_sine, self.second_length, axle + ahead)
+        return first[0] + second[0]
 
 
 class SurfaceBump(AbstractPlane, MemorylessSurface):
@@ -182,6 +213,7 @@ class SlipSinkage(AbstractPlane):
 SURFACE = (
     SurfaceProfile,
     SurfaceUndulation,
+    SurfaceWaves,
     SurfaceBump,
     SurfaceSlope,
     SurfaceIncline,

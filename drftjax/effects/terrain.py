@@ -190,6 +190,36 @@ class TerrainWave(MemorylessZetaFactor):
         return 1 + self.cosine * jnp.cos(turn) + self.sine * jnp.sin(turn)
 
 
+class TerrainWaves(MemorylessZetaFactor):
+    """zeta depends on the place: three waves along x."""
+
+    about: ClassVar = EffectInfo(
+        "terrain_waves",
+        "terrain",
+        "ζ = ζ (1 + Σ cosine cos(2π x / length) + sine sin(2π x / length))",
+        "zeta depends on the place: waves of three lengths",
+        form_of="terrain_variation",
+        hypothesis=False,
+        sum_of="terrain_wave",
+    )
+    first_cosine: Number = strength("-", 0.05, "amplitude of the first in phase with x = 0")
+    first_sine: Number = strength("-", 0.05, "its amplitude a quarter wave on")
+    second_cosine: Number = strength("-", 0.05, "amplitude of the second in phase with x = 0")
+    second_sine: Number = strength("-", 0.05, "its amplitude a quarter wave on")
+    third_cosine: Number = strength("-", 0.05, "amplitude of the third in phase with x = 0")
+    third_sine: Number = strength("-", 0.05, "its amplitude a quarter wave on")
+    first_length: Number = places.one_wavelength(0.8, 1.6)
+    second_length: Number = places.one_wavelength(0.3, 0.6)
+    third_length: Number = places.one_wavelength(0.1, 0.2)
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        lengths = jnp.stack([self.first_length, self.second_length, self.third_length])
+        cosine = jnp.stack([self.first_cosine, self.second_cosine, self.third_cosine])
+        sine = jnp.stack([self.first_sine, self.second_sine, self.third_sine])
+        turn = 2 * jnp.pi / lengths * moment.position[0]
+        return 1 + jnp.sum(cosine * jnp.cos(turn) + sine * jnp.sin(turn))
+
+
 class TerrainStep(MemorylessZetaFactor):
     """zeta passes from one level to another along x; a wide passage is a ramp."""
 
@@ -284,6 +314,7 @@ TERRAIN = (
     SinkageHardening,
     TerrainVariation,
     TerrainWave,
+    TerrainWaves,
     TerrainStep,
     Bulldozing,
     Heap,

@@ -88,6 +88,46 @@ def test_forms_of_one_effect_take_one_place_of_the_three_that_are_tried_in_any_c
         assert len(tried) == len(set(tried)) >= ExchangeSettings().min_alike
 
 
+def test_a_sum_of_waves_is_tried_in_the_place_of_one_wave(pool):
+    waves = {
+        "name": "terrain_waves",
+        "first_cosine": 0.06,
+        "first_sine": 0.05,
+        "first_length": 0.30,
+        "second_sine": 0.05,
+        "second_length": 0.13,
+    }
+    candidates = ("horizontal_coulomb", "terrain_variation", "terrain_wave")
+    regressors = regressors_with((TRUTH[0], waves), pool, candidates)
+    of = {each.effect.about.name: each for each in regressors.variants}
+    start = linear_start(regressors, [of["horizontal_coulomb"], of["terrain_wave"]])
+    pair = refine(
+        regressors, relinearize(regressors, refine(regressors, start, 3, pool), pool), 5, pool
+    )
+    (summed,) = (
+        each
+        for each in exchanged_sets(regressors, pair, [], pool)[1]
+        if "terrain_waves" in each.names
+    )
+    assert "terrain_waves" not in {
+        name
+        for tried in exchanged_sets(regressors, pair, [], pool, with_sums=False)
+        for each in tried
+        for name in each.names
+    }
+    found = refine(regressors, summed, 1, pool)
+    found = refine(regressors, relinearize(regressors, found, pool), 5, pool)
+    assert found.score > pair.score + DEFAULT_SCREENING.min_set_gain
+    lengths = [
+        each.value(at)
+        for each, at in zip(found.model.free, found.coordinates, strict=True)
+        if each.field.endswith("length")
+    ]
+    # A third wave has nothing to do, or stands beside one of the others: a tenth.
+    assert min(abs(each / 0.30 - 1) for each in lengths) < 0.1
+    assert min(abs(each / 0.13 - 1) for each in lengths) < 0.1
+
+
 def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     by_place = exchanged_sets(regressors, wrong, [wrong], pool)
     found = [each for alike in by_place for each in alike]
