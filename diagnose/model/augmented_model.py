@@ -255,7 +255,8 @@ def _nan_past_coverage(table: Array, channels: tuple[str, ...], trial: Trial) ->
 
     Nor are there any of a wheel whose grousers would be shorter than none.
     """
-    lost = jnp.max(jnp.abs(table)) > RUN_AWAY
+    # No number is below the bound either, and the largest of several is not always found as none.
+    lost = ~jnp.all(jnp.abs(table) <= RUN_AWAY)
     wheel = trial.simulator.adjusted().wheel
     if isinstance(wheel, GrouserWheel):
         lost |= wheel.grouser_height < -SHORTEST

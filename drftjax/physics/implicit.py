@@ -151,7 +151,7 @@ class Root(eqx.Module):
 
 
 class Search(eqx.Module):
-    """How far a search for a root has come.
+    """State of a search for a root.
 
     Attributes:
         root: Last velocity that was accepted, and the balance there.
@@ -218,6 +218,9 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         bound = (1 - settings.decrease * part) * balance.size(root.residual) ** 2
         accepted = balance.size(tried.residual) ** 2 <= bound
         accepted |= part <= settings.shortest
+        # A guess at which there are no numbers, as of a wheel that runs away, leads nowhere.
+        lost = jnp.isinf(balance.size(root.residual)) & ~jnp.isfinite(balance.size(tried.residual))
+        accepted |= lost
         root = eqx.tree_at(
             lambda r: r.evaluations, _where(accepted, tried, root), tried.evaluations
         )
@@ -240,7 +243,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
             jnp.where(again, 1, part).astype(part.dtype),
             known,
             begun,
-            root.found | (stuck & ~again),
+            root.found | lost | (stuck & ~again),
         )
 
     # The first turn is at the guess, and is accepted: so the force stands in the program once.

@@ -176,7 +176,8 @@ def add_effects(setup: SetUp, channels: Sequence[str]) -> dict[str, str]:
     simulator = setup.trial().simulator
     present = [name_of(entry) for entry in setup.effects]
     for name in catalogue():
-        if name in present:
+        # A sum moves the runs as its terms do, which are there.
+        if name in present or effect_class(name).about.sum_of:
             continue
         try:
             effect_class(name).about.require_shown(channels)
