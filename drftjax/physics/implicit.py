@@ -110,8 +110,8 @@ class NewtonSettings(eqx.Module):
     Attributes:
         tolerance: A change of velocity, as a share of the balance's scale, below which the root is
             found: for the paper's wheel a thousandth of a millimetre in 100 s.
-        most_evaluations: Evaluations of the force at most. A wheel that rolls needs 2 to 4, one
-            that is stopped within a step some 20, and one that begins anew as many again.
+        most_evaluations: Evaluations of the force from one guess at most. A wheel that rolls needs
+            2 to 4, one that is stopped within a step some 20.
         shrink: Factor on the part of a Newton step that is tried next where the residual does not
             fall. Dry friction turns over within a millionth of the step: a third gets there in
             fewer evaluations than a half (17 to 27 of a block on a rough floor).
@@ -121,7 +121,7 @@ class NewtonSettings(eqx.Module):
     """
 
     tolerance: float = eqx.field(static=True, default=1e-8)
-    most_evaluations: int = eqx.field(static=True, default=200)
+    most_evaluations: int = eqx.field(static=True, default=60)
     shrink: float = eqx.field(static=True, default=0.3)
     grow: float = eqx.field(static=True, default=2.0)
     shortest: float = eqx.field(static=True, default=1e-9)
@@ -159,6 +159,7 @@ class Search(eqx.Module):
         part: Part of it that is tried next [-].
         stuck: Of the places that it got stuck in, that with the smallest residual.
         begun: Number of guesses that it began from.
+        left: Evaluations that are left from the last of them.
         ended: Whether it found the root, or has no further guess.
     """
 
@@ -167,6 +168,7 @@ class Search(eqx.Module):
     part: Float[Array, ""]
     stuck: Root
     begun: Int[Array, ""]
+    left: Int[Array, ""]
     ended: Bool[Array, ""]
 
 
@@ -210,7 +212,7 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
     guesses = jnp.concatenate([guess[None], balance.further_guesses()])
 
     def going_on(search: Search) -> Bool[Array, ""]:
-        return ~search.ended & (search.root.evaluations < settings.most_evaluations)
+        return ~search.ended
 
     def turn(search: Search) -> Search:
         root, step, part = search.root, search.step, search.part
@@ -228,13 +230,14 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
         grown = jnp.minimum(1, settings.grow * part)
         part = jnp.where(accepted, grown, settings.shrink * part).astype(part.dtype)
         root = eqx.tree_at(lambda r: r.found, root, is_short(step))
-        stuck = is_short(part * step) & ~root.found
+        left = search.left - 1
+        stuck = (is_short(part * step) | (left == 0)) & ~root.found
         # The best of all places that it got stuck in is the end, if no guess leads to a root.
         known = search.stuck
         better = stuck & (balance.size(root.residual) < balance.size(known.residual))
         known = _where(better, root, known)
         begun = search.begun + jnp.where(stuck, 1, 0)
-        again = stuck & (begun <= len(guesses))
+        again = stuck & ~lost & (begun <= len(guesses))
         # Like the first turn, the next one is at a guess.
         anew = _first(guesses[jnp.minimum(begun, len(guesses)) - 1], root.evaluations, balance)
         return Search(
@@ -243,17 +246,15 @@ def newton(balance: AbstractBalance, guess: Pair, settings: NewtonSettings) -> R
             jnp.where(again, 1, part).astype(part.dtype),
             known,
             begun,
+            jnp.where(again, settings.most_evaluations, left),
             root.found | lost | (stuck & ~again),
         )
 
     # The first turn is at the guess, and is accepted: so the force stands in the program once.
     first = _first(guess, jnp.asarray(0), balance)
-    begun = jnp.asarray(1)
-    end = jax.lax.while_loop(
-        going_on,
-        turn,
-        Search(first, jnp.zeros_like(guess), jnp.ones((), guess.dtype), first, begun, first.found),
-    )
+    part, all_left = jnp.ones((), guess.dtype), jnp.asarray(settings.most_evaluations)
+    begun = Search(first, jnp.zeros_like(guess), part, first, jnp.asarray(1), all_left, first.found)
+    end = jax.lax.while_loop(going_on, turn, begun)
     root = end.root
     failed = ~root.found & (balance.size(end.stuck.residual) < balance.size(root.residual))
     best = eqx.tree_at(lambda r: r.evaluations, end.stuck, root.evaluations)

@@ -53,7 +53,7 @@ class Block(AbstractBalance):
         return jnp.asarray(2.0)
 
     def further_guesses(self):
-        return jnp.zeros((1, 2))
+        return jnp.zeros((0, 2))
 
     def speed_scale(self):
         return jnp.ones(())
@@ -123,6 +123,40 @@ def test_the_search_ends_where_it_may_not_go_on():
     balance = block([0.3, 0.4], [0.0, 0.0])
     root = newton(balance, jnp.asarray([-5.0, 3.0]), NewtonSettings(most_evaluations=2))
     assert int(root.evaluations) == 2
+    assert not bool(root.found)
+
+
+class Hollow(Block):
+    """A block whose residual along x has a hollow that does not reach down to zero."""
+
+    guesses: tuple = ((0.5, 0.0),)
+
+    def by_plate(self, velocity):
+        return velocity[:1], velocity[1:]
+
+    def of_sums(self, velocity, sums):
+        hollow = 1 - velocity[0] - 0.9 * jnp.exp(-(((velocity[0] + 0.3) / 0.1) ** 2))
+        return jnp.stack([hollow, velocity[1]]), velocity
+
+    def further_guesses(self):
+        return jnp.asarray(self.guesses, float).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("guesses", [(), ((0.5, 0.0),)], ids=["none", "one"])
+def test_a_search_that_is_stuck_begins_anew_where_it_is_told_to(guesses):
+    nothing = jnp.zeros(2)
+    balance = Hollow(nothing, nothing, jnp.zeros(()), guesses)
+    root = newton(balance, jnp.asarray([-0.34, 0.0]), SETTINGS)
+    assert bool(root.found) == bool(guesses)
+    # The bottom of the hollow, where its slope is that of the line, or the root.
+    assert float(root.velocity[0]) == pytest.approx(1.0 if guesses else -0.29, abs=0.01)
+    assert int(root.evaluations) <= (1 + len(guesses)) * SETTINGS.most_evaluations
+
+
+def test_a_guess_without_numbers_ends_the_search():
+    balance = block([0.3, 0.4], [float("nan"), 0.0])
+    root = newton(balance, balance.before, SETTINGS)
+    assert int(root.evaluations) == 1
     assert not bool(root.found)
 
 
