@@ -26,10 +26,6 @@ from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, reported_name, reported_names, strengths
 
-# Logarithm of the ratio that two terms' shapes differ by at least [-]. Nearer ones together make up
-# for a value between two of the grid's, which the refinement of one finds.
-APART = 0.25
-
 
 @dataclass(frozen=True)
 class ExchangeSettings:
@@ -45,6 +41,9 @@ class ExchangeSettings:
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
         rankings: Linear fits rank what may take an effect's place once by each of these.
+        min_term_ratio: Ratio of the first shapes of two terms of a sum, at least [-]. Nearer ones
+            together make up for a value between two of the grid's, which the refinement of one
+            finds.
     """
 
     max_known_deficit: float = 30.0
@@ -53,6 +52,7 @@ class ExchangeSettings:
     max_alike: int = 6
     max_continued: int = 2
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS[-2:]
+    min_term_ratio: float = 1.28
 
 
 DEFAULT_EXCHANGE = ExchangeSettings()
@@ -109,12 +109,16 @@ def exchanged_sets(
                 starts.setdefault(frozenset(reported_names(each.names)), each)
         found.append([each.build() for each in [*starts.values()][: settings.max_alike]])
         if with_sums:
-            found[-1] += sums_in_place(regressors, best, place, pool)
+            found[-1] += sums_in_place(regressors, best, place, pool, settings)
     return found
 
 
 def sums_in_place(
-    regressors: Regressors, best: Hypothesis, place: int, pool: RunPool
+    regressors: Regressors,
+    best: Hypothesis,
+    place: int,
+    pool: RunPool,
+    settings: ExchangeSettings = DEFAULT_EXCHANGE,
 ) -> list[Hypothesis]:
     """A set with a sum of several terms in the place of another form of that effect.
 
@@ -127,6 +131,7 @@ def sums_in_place(
         best: The set.
         place: Of the effect among the set's.
         pool: Threads.
+        settings: Numbers of the choice.
     """
     here = best.model.effects[place].about
     found = []
@@ -135,8 +140,7 @@ def sums_in_place(
         of_effect = about.sum_of and about.form_of == reported_name(here.name)
         terms = [v for v in regressors.variants if v.effect.about.name == about.sum_of]
         if of_effect and terms and about.name != here.name:
-            start = _sum_beside(regressors, best, place, kind, terms, pool)
-            found.append(start)
+            found.append(_sum_beside(regressors, best, place, kind, terms, pool, settings))
     return found
 
 
@@ -147,6 +151,7 @@ def _sum_beside(
     kind: type[AbstractEffect],
     terms: Sequence[ShapeVariant],
     pool: RunPool,
+    settings: ExchangeSettings,
 ) -> Hypothesis:
     """A set with the sum of those of some terms that do best, chosen one after the other."""
     rest, has_first = _without(best, place), best.model.effects[place] is terms[0].effect
@@ -160,12 +165,10 @@ def _sum_beside(
     matrices = regressors.gram_matrices_beside_all(base.columns, base.residual, base.log_zeta, pool)
     to_fit = base.fit.mean_square, DEFAULT_RANKINGS[-1:], regressors.settings
     fit, first, count = base.fit, len(chosen), len(base.coordinates)
+    apart = settings.min_term_ratio
     while len(chosen) < len(strengths(kind)) // len(strengths(terms[0].effect)):
-        others = [
-            each
-            for each in terms
-            if all(abs(np.log(each.shapes[0] / known.shapes[0])) > APART for known in chosen)
-        ]
+        # A grid of few values may have none that is so far off.
+        others = [t for t in terms if all(_ratio(t, k) > apart for k in chosen)] or list(terms)
         sets = [(*chosen[first:], each) for each in others]
         (fits,) = fits_beside(matrices, least_changes(base), sets, *to_fit)
         leading = max(range(len(fits)), key=lambda k: fits[k].score)
@@ -181,6 +184,12 @@ def _sum_beside(
     variant = ShapeVariant(kind, tuple(values), columns, neighbours=())
     whole = replace(fit, coefficients=np.r_[change, added])
     return joined_from_null(regressors, rest, [variant], whole)
+
+
+def _ratio(first: ShapeVariant, second: ShapeVariant) -> float:
+    """Ratio of the larger of two variants' first shapes to the smaller [-]."""
+    larger, smaller = sorted((first.shapes[0], second.shapes[0]))[::-1]
+    return larger / smaller
 
 
 def _without(best: Hypothesis, place: int) -> Hypothesis:

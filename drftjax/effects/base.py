@@ -45,8 +45,9 @@ class EffectInfo:
             measured yet how well it is told from the others, or it takes longer than another form.
         channels: Channels among x, z, fx, fz, torque that it shows in, of which a diagnosis must
             compare one; empty where it moves the wheel, and so shows in any.
-        sum_of: Name of the effect that this is a sum of several of, with their strengths one after
-            the other, and then their shapes; a diagnosis tries it in the place of another form.
+        sum_of: Name of the effect, of one shape or more, that this is a sum of several of, with
+            their strengths one after the other, and then their shapes; a diagnosis tries it in the
+            place of another form.
     """
 
     name: str
