@@ -99,7 +99,10 @@ class RigidFloor(AbstractStressFactor):
     excess: Number = strength(
         "-", 0.5, "excess of stress per 20 mm below the floor's depth", least=0.0
     )
-    floor: Number = shape("m", 0.035, (0.025, 0.035, 0.045), "depth at which it begins")
+    # Of wheels of 40 to 300 mm.
+    floor: Number = shape(
+        "m", 0.035, (0.01, 0.016, 0.025, 0.035, 0.05, 0.075, 0.11), "depth at which it begins"
+    )
 
     def factor(self, motion: PlateMotion) -> Each:
         return 1 + self.excess * jnp.maximum(motion.depth - self.floor, 0) / REFERENCE_DEPTH

@@ -196,7 +196,7 @@ class SlipSinkage(AbstractPlane):
         "slip carries sand away: the surface goes down with slip, and recovers with travel",
     )
     rate: Number = strength("-", 0.1, "depth dug per slip distance", least=0.0)
-    length: Number = shape("m", 0.12, (0.06, 0.12, 0.25), "travel that leads to fresh sand")
+    length: Number = shape("m", 0.12, (0.03, 0.06, 0.12, 0.25), "travel that leads to fresh sand")
 
     def begin(self) -> Memory:
         return jnp.zeros_like(self.rate)
