@@ -153,7 +153,10 @@ def _sum_beside(
     pool: RunPool,
     settings: ExchangeSettings,
 ) -> Hypothesis:
-    """A set with the sum of those of some terms that do best, chosen one after the other."""
+    """A set with the sum of those of some terms that do best, chosen one after the other.
+
+    Arguments as for `sums_in_place`, with the sum's class, and its terms at all starts.
+    """
     rest, has_first = _without(best, place), best.model.effects[place] is terms[0].effect
     base = best if has_first else rest
     own = np.array([f.index == place for f in best.model.free])
@@ -163,7 +166,7 @@ def _sum_beside(
         values = [*np.exp(best.coordinates[own & is_shape])]
         chosen = [min(terms, key=lambda each: abs(np.log(each.shapes[0] / values[0])))]
     matrices = regressors.gram_matrices_beside_all(base.columns, base.residual, base.log_zeta, pool)
-    to_fit = base.fit.mean_square, DEFAULT_RANKINGS[-1:], regressors.settings
+    to_fit = base.fit.mean_square, settings.rankings[-1:], regressors.settings
     fit, first, count = base.fit, len(chosen), len(base.coordinates)
     apart = settings.min_term_ratio
     while len(chosen) < len(strengths(kind)) // len(strengths(terms[0].effect)):
@@ -175,8 +178,7 @@ def _sum_beside(
         chosen.append(others[leading])
         values += others[leading].shapes
         fit = fits[leading]
-    added = fit.coefficients[count:]
-    change = fit.coefficients[:count]
+    change, added = fit.coefficients[:count], fit.coefficients[count:]
     if has_first:
         added = np.r_[(best.coordinates + change)[own & ~is_shape], added]
         change = change[~own]
@@ -188,7 +190,7 @@ def _sum_beside(
 
 def _ratio(first: ShapeVariant, second: ShapeVariant) -> float:
     """Ratio of the larger of two variants' first shapes to the smaller [-]."""
-    larger, smaller = sorted((first.shapes[0], second.shapes[0]))[::-1]
+    smaller, larger = sorted((first.shapes[0], second.shapes[0]))
     return larger / smaller
 
 

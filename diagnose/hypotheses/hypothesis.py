@@ -152,7 +152,10 @@ def column_mixes(
 def _shape_mix(
     regressors: Regressors, variant: ShapeVariant, axis: int, strength: np.ndarray
 ) -> ColumnMix:
-    """A shape's column at these strengths: difference of its neighbours over that of their log."""
+    """A shape's column at these strengths: difference of its neighbours over that of their log.
+
+    Zero where it has none; a simulation comes before it is needed.
+    """
     if not variant.neighbours:
         return []
     before, after = (regressors.variants[number] for number in variant.neighbours[axis])

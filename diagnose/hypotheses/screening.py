@@ -271,9 +271,8 @@ class Screening:
             limits: Numbers of the choice of larger sets.
         """
         settings, exchange = self.settings, self.settings.exchange
-        by_place = exchanged_sets(
-            self.regressors, best, known, self.pool, exchange, self.leaves_gap(best)
-        )
+        of_best = best, known, self.pool, exchange
+        by_place = exchanged_sets(self.regressors, *of_best, with_sums=self.leaves_gap(best))
         # What takes another's place has a long way to go.
         of_place = replace(limits, max_continued=exchange.max_continued, fresh_derivatives=True)
         tried = [

@@ -61,7 +61,7 @@ class ShapeVariant:
         shapes: Value of each shape, in the effect's order.
         columns: Numbers of its columns, one for each strength.
         neighbours: Numbers of the variants before and after along each shape; itself at the edge.
-            None where the columns are those of other effects.
+            Empty where the columns are those of another effect.
     """
 
     effect: type[AbstractEffect]

@@ -33,6 +33,18 @@ def one_wavelength(*starts: float) -> Any:
     return shape("m", starts[len(starts) // 2], starts, "wavelength of one of the waves")
 
 
+def wave(cosine: Number, sine: Number, length: Number, x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """A wave of a length [m] at some places along x [m], in the unit of its amplitudes.
+
+    Args:
+        cosine, sine: Amplitudes in phase with x = 0, and a quarter wave on.
+        length: Wavelength [m].
+        x: Places [m], shape (*n,).
+    """
+    turn = 2 * jnp.pi / length * x
+    return cosine * jnp.cos(turn) + sine * jnp.sin(turn)
+
+
 def bell(x: Number, centre: Number, width: Number) -> Number:
     """A normal curve that is one at its centre; all in metres."""
     away = (x - centre) / width

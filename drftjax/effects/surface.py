@@ -19,15 +19,13 @@ from drftjax.effects.base import (
 )
 
 Number = Float[Array, ""]
+Each = Float[Array, " plates"]
 
 
-Places = Float[Array, "*places"]
-
-
-def _waves(cosine: Number, sine: Number, length: Number, x: Places) -> tuple[Places, Places]:
-    """Height [m] over that at x = 0, and slope [-], of waves along x at some places [m]."""
+def _waves(cosine: Number, sine: Number, length: Number, axle: Number) -> tuple[Number, Number]:
+    """Height [m] over that at x = 0, and slope [-], of waves along x at the axle [m]."""
     turn = 2 * jnp.pi / length
-    across, along = jnp.cos(turn * x), jnp.sin(turn * x)
+    across, along = jnp.cos(turn * axle), jnp.sin(turn * axle)
     return cosine * (across - 1) + sine * along, turn * (sine * across - cosine * along)
 
 
@@ -99,10 +97,11 @@ class SurfaceWaves(MemorylessSurface):
     first_length: Number = places.one_wavelength(0.4, 0.8, 1.6)
     second_length: Number = places.one_wavelength(0.1, 0.2, 0.4)
 
-    def height(self, axle: Number, ahead: Float[Array, " plates"], memory: Memory) -> Array:
-        first = _waves(self.first_cosine, self.first_sine, self.first_length, axle + ahead)
-        second = _waves(self.second_cosine, self.second_sine, self.second_length, axle + ahead)
-        return first[0] + second[0]
+    def height(self, axle: Number, ahead: Each, memory: Memory) -> Each:
+        x = axle + ahead
+        first = places.wave(self.first_cosine, self.first_sine, self.first_length, x)
+        second = places.wave(self.second_cosine, self.second_sine, self.second_length, x)
+        return first + second - self.first_cosine - self.second_cosine
 
 
 class SurfaceBump(AbstractPlane, MemorylessSurface):

@@ -186,8 +186,7 @@ class TerrainWave(MemorylessZetaFactor):
     length: Number = places.wavelength()
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        turn = 2 * jnp.pi / self.length * moment.position[0]
-        return 1 + self.cosine * jnp.cos(turn) + self.sine * jnp.sin(turn)
+        return 1 + places.wave(self.cosine, self.sine, self.length, moment.position[0])
 
 
 class TerrainWaves(MemorylessZetaFactor):
@@ -213,11 +212,11 @@ class TerrainWaves(MemorylessZetaFactor):
     third_length: Number = places.one_wavelength(0.1, 0.2)
 
     def factor(self, moment: StepContext, memory: Memory) -> Number:
-        lengths = jnp.stack([self.first_length, self.second_length, self.third_length])
-        cosine = jnp.stack([self.first_cosine, self.second_cosine, self.third_cosine])
-        sine = jnp.stack([self.first_sine, self.second_sine, self.third_sine])
-        turn = 2 * jnp.pi / lengths * moment.position[0]
-        return 1 + jnp.sum(cosine * jnp.cos(turn) + sine * jnp.sin(turn))
+        x = moment.position[0]
+        first = places.wave(self.first_cosine, self.first_sine, self.first_length, x)
+        second = places.wave(self.second_cosine, self.second_sine, self.second_length, x)
+        third = places.wave(self.third_cosine, self.third_sine, self.third_length, x)
+        return 1 + first + second + third
 
 
 class TerrainStep(MemorylessZetaFactor):

@@ -296,8 +296,8 @@ def test_the_run_with_every_effect_at_zero_is_the_run_without(null):
 
     # A value that none of the rounded commands changes may still be rounded once otherwise.
     last_place = np.spacing(np.abs(plain).max(axis=1))
-    most = np.maximum(np.max([apart(one) for one in rounded], axis=0), last_place)
-    assert np.all(apart(null[0]) <= ROUNDING * most)
+    most = ROUNDING * np.max([apart(one) for one in rounded], axis=0)
+    assert np.all(apart(null[0]) <= np.maximum(most, last_place))
 
 
 @effects

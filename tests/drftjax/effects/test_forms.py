@@ -9,6 +9,7 @@ import pytest
 
 from drftjax.common.errors import InputError
 from drftjax.effects.base import StepContext
+from drftjax.effects.catalogue import field_metadata
 from drftjax.physics.rig import Rig
 from drftjax.physics.state import State
 from drftjax.physics.stress import ArcBisector, Dynamic, QuasiStatic
@@ -42,6 +43,50 @@ def test_sand_passes_from_soft_to_hard_at_a_place():
     # Twelve widths away tanh is one to 1e-10; at one width it is (e - 1/e) / (e + 1/e).
     across = 0.2 * (np.e - 1 / np.e) / (np.e + 1 / np.e)
     np.testing.assert_allclose(factors, [0.8, 1 - across, 1.0, 1 + across, 1.2], atol=1e-9)
+
+
+WAVES = {"first": (0.002, -0.001, 0.45), "second": (0.0005, 0.003, 0.13)}
+
+
+def one(name: str, wave: tuple[float, float, float]):
+    cosine, sine, length = wave
+    return KNOWN[name](cosine=cosine, sine=sine, length=length)
+
+
+def together(name: str, waves: dict[str, tuple[float, float, float]]):
+    names = ("cosine", "sine", "length")
+    pairs = (
+        (f"{which}_{n}", v) for which, w in waves.items() for n, v in zip(names, w, strict=True)
+    )
+    return KNOWN[name](**dict(pairs))
+
+
+def test_several_waves_of_zeta_add_up():
+    waves = {**WAVES, "third": (0.04, 0.02, 1.1)}
+    effect = together("terrain_waves", waves)
+    alone = [one("terrain_wave", each) for each in waves.values()]
+    for x in (-0.7, 0.0, 0.21, 1.9):
+        changes = [float(each.factor(moment_at(x), ())) - 1 for each in alone]
+        found = float(effect.factor(moment_at(x), ()))
+        assert found == pytest.approx(1 + sum(changes), abs=CLOSE)
+
+
+def test_each_plate_is_under_the_waves_over_it():
+    effect = together("surface_waves", WAVES)
+    axle, ahead = 0.3, np.array([-0.1, 0.0, 0.04])
+    alone = [one("surface_profile", each) for each in WAVES.values()]
+    # A wave's plane has the wave's own height under the axle.
+    expected = [sum(float(e.plane(jnp.asarray(axle + a), ())[0]) for e in alone) for a in ahead]
+    found = effect.height(jnp.asarray(axle), jnp.asarray(ahead), ())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=CLOSE)
+
+
+@pytest.mark.parametrize("radius", [0.040, 0.068, 0.150, 0.300])
+def test_a_floor_is_looked_for_where_the_plates_of_any_wheel_are(radius):
+    starts = np.asarray(field_metadata(KNOWN["rigid_floor"])["floor"]["starts"])
+    # Grousers of an eighth of the radius, on a wheel that sinks by a fifth of it.
+    deepest = radius * (1 / 8 + 1 / 5)
+    assert np.any((starts > 0.6 * deepest) & (starts < 0.9 * deepest))
 
 
 def test_sand_loosens_late_and_at_once_or_early_and_long():
