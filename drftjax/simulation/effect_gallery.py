@@ -100,14 +100,15 @@ def draw_effect(effect: type[AbstractEffect]) -> Figure:
     both, *changes = figure.subplots(1 + len(channels), 1, sharex=True)
     scale, first = label_channel(both, channels[0]), getattr(output, channels[0])
     both.plot(time, scale * first[0], **BEFORE.line, label="without")
-    both.plot(time, scale * first[1], **AFTER.line, label=f"with {typical_sizes(effect)}")
-    both.legend()
+    sizes = textwrap.fill(f"with {typical_sizes(effect)}", 2 * LETTERS)
+    both.plot(time, scale * first[1], **AFTER.line, label=sizes)
     for axes, name in zip(changes, channels, strict=True):
         scale, channel = label_difference(axes, name, f"change of {name}"), getattr(output, name)
         axes.plot(time, scale * (channel[1] - channel[0]), **AFTER.line)
         axes.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
     changes[-1].set_xlabel("time [s]")
     title_above(figure, f"{effect.about.name}: {effect.about.meaning}")
+    legend_below(figure, [both], columns=1)
     return figure
 
 

@@ -7,6 +7,7 @@ import pytest
 from matplotlib import colors
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
 from matplotlib.text import Text
 
 from drftjax.common import figures as look
@@ -118,6 +119,16 @@ def test_text_can_be_read_on_a_telephone(figures):
         pixels = NARROW / figure.get_size_inches()[0] / 72
         texts = [each for each in figure.findobj(Text) if each.get_text().strip()]
         assert min(each.get_fontsize() for each in texts) * pixels >= READABLE, name
+
+
+def test_no_legend_is_wider_than_its_figure(figures):
+    for name, figure in figures.items():
+        with look.boxes_for_letters():
+            figure.draw_without_rendering()
+        for legend in figure.findobj(Legend):
+            box = legend.get_window_extent()
+            assert box.x0 >= 0, name
+            assert box.x1 <= figure.bbox.x1, name
 
 
 def test_the_ground_is_white_also_on_a_dark_page(figures):
