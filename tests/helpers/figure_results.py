@@ -94,8 +94,8 @@ def effects(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
 
     monkeypatch.setattr(effect_gallery, "simulate_effects", simulated)
     return {
-        # Of the most numbers.
-        "draw_effect": effect_gallery.draw_effect(effect_class("terrain_waves")),
+        "draw_effect": effect_gallery.draw_effect(shown[0]),
+        "draw_effect_of_most_numbers": effect_gallery.draw_effect(effect_class("terrain_waves")),
         "draw_gallery": effect_gallery.draw_gallery(shown),
     }
 

@@ -77,7 +77,7 @@ def test_sinkage_is_drawn_downward_and_named_so(figures):
             found.add(name)
     assert found == {
         *("plot_run", "plot_hils", "sweep_figure", "slip_figure", "draw_effect", "runs_figure"),
-        *("trajectory_figure", "plot_fit", "evaluation_figure"),
+        *("trajectory_figure", "plot_fit", "evaluation_figure", "draw_effect_of_most_numbers"),
     }
     drawn = figures["plot_fit"].axes
     values = next(each for each in drawn if each.get_ylabel().startswith("sinkage"))
