@@ -102,23 +102,6 @@ class HorizontalCoulomb(MemorylessLoad):
         return along_x(-self.force * jnp.tanh(velocity[0] / HORIZONTAL_STICK))
 
 
-class HorizontalCreepFriction(MemorylessLoad):
-    """Dry friction of a carriage that creeps before it slides, by a width of its own."""
-
-    about: ClassVar = EffectInfo(
-        "horizontal_creep_friction",
-        "rig",
-        "F_x = -force tanh(v_x / creep)",
-        "dry friction of a carriage that creeps before it slides",
-        form_of="horizontal_coulomb",
-    )
-    force: Number = strength("N", 3.0, "friction", least=0.0)
-    creep: Number = shape("m/s", 3e-3, (3e-3, 1e-2), "speed over which the friction turns over")
-
-    def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        return along_x(-self.force * jnp.tanh(velocity[0] / self.creep))
-
-
 class HorizontalViscous(MemorylessLoad):
     """Viscous friction of the carriage."""
 
@@ -210,7 +193,6 @@ RIG = (
     VerticalCreepFriction,
     VerticalViscous,
     HorizontalCoulomb,
-    HorizontalCreepFriction,
     HorizontalViscous,
     Drawbar,
     CableSpring,

@@ -137,6 +137,32 @@ class SlipRatioSoftening(MemorylessZetaFactor):
         return 1 - self.loss * slip
 
 
+class SlipPowerSoftening(MemorylessZetaFactor):
+    """zeta falls with the rim's slip without an end, by a power of it.
+
+    At small exponents it falls by the logarithm of slip, as rate-and-state friction does, and far
+    below the onset in proportion to slip.
+    """
+
+    about: ClassVar = EffectInfo(
+        "slip_power_softening",
+        "terrain",
+        "ζ = ζ (1 + s / onset)^-exponent, s = |r ω - v_x|",
+        "zeta is lower the faster the rim slips, without an end",
+        form_of="slip_softening",
+    )
+    exponent: Number = strength(
+        "-", 0.05, "power of slip by which zeta falls", far=(0.3,), least=0.0
+    )
+    onset: Number = shape(
+        "m/s", 0.01, (0.0005, 0.002, 0.01, 0.05), "slip speed from which it falls"
+    )
+
+    def factor(self, moment: StepContext, memory: Memory) -> Number:
+        slip = jnp.abs(moment.rim_slip())
+        return jnp.exp(-self.exponent * jnp.log1p(slip / self.onset))
+
+
 class SinkageHardening(MemorylessZetaFactor):
     """zeta grows with the wheel's sinkage, alike under all of its plates."""
 
@@ -310,6 +336,7 @@ TERRAIN = (
     LooseningStretched,
     SlipSoftening,
     SlipRatioSoftening,
+    SlipPowerSoftening,
     SinkageHardening,
     TerrainVariation,
     TerrainWave,

@@ -79,7 +79,7 @@ def test_beside_a_large_lag_a_pull_is_still_the_look_alike_of_friction(pool):
 
 
 def test_forms_of_one_effect_take_one_place_of_the_three_that_are_tried_in_any_case(pool):
-    regressors = regressors_with(TRUTH, pool, (*CANDIDATES, "horizontal_creep_friction"))
+    regressors = regressors_with(TRUTH, pool, (*CANDIDATES, "surface_incline"))
     of = {each.effect.about.name: each for each in regressors.variants}
     start = linear_start(regressors, [of["drawbar"], of["speed_lag"]])
     pair = relinearize(regressors, refine(regressors, start, 2, pool), pool)

@@ -236,26 +236,37 @@ def test_slip_ratio_softening_takes_its_share_of_a_slip_ratio_at_any_speed():
             assert float(effect.factor(now, ())) == pytest.approx(1 - 0.2 * slip, rel=CLOSE)
 
 
-@pytest.mark.parametrize(
-    ("creeping", "dry", "viscous", "axis", "width"),
-    [
-        ("vertical_creep_friction", "vertical_coulomb", "vertical_viscous", 1, 1e-4),
-        ("horizontal_creep_friction", "horizontal_coulomb", "horizontal_viscous", 0, 1e-3),
-    ],
-)
-def test_creeping_friction_lies_between_dry_and_viscous(creeping, dry, viscous, axis, width):
-    now = moment(0.0, 0.0, DT)
+def test_slip_power_softening_is_a_hyperbola_a_logarithm_and_a_line():
+    onset = 0.01
+
+    def factor(slip: float, exponent: float) -> float:
+        now = moment(-slip, 0.0, DT)
+        return float(KNOWN["slip_power_softening"](exponent=exponent, onset=onset).factor(now, ()))
+
+    # With an exponent of one all of zeta is lost to the hyperbola of slip_softening.
+    hyperbola = KNOWN["slip_softening"](loss=1.0, half=onset).factor(moment(-0.03, 0.0, DT), ())
+    assert factor(0.03, 1.0) == pytest.approx(float(hyperbola), rel=CLOSE)
+    # A small exponent: ten times the slip beyond the onset costs as much again. Each of a
+    # thousandth is off by its square at most, and the onset by a hundredth of a logarithm.
+    lost = [1 - factor(onset * 10.0**k, 1e-3) for k in (2, 3, 4)]
+    assert lost[2] - lost[1] == pytest.approx(lost[1] - lost[0], rel=2e-2)
+    # Far below the onset: in proportion to slip, off by its share of the onset.
+    assert 1 - factor(1e-6, 0.5) == pytest.approx(0.5 * 1e-6 / onset, rel=2e-4)
+
+
+def test_creeping_friction_lies_between_dry_and_viscous():
+    now, width = moment(0.0, 0.0, DT), 1e-4
 
     def force(name, speed, **numbers):
         velocity = jnp.full(2, speed)
-        return float(KNOWN[name](**numbers).load(jnp.zeros(2), velocity, now, ())[axis])
+        return float(KNOWN[name](**numbers).load(jnp.zeros(2), velocity, now, ())[1])
 
     for speed in (-3 * width, 0.5 * width, 2 * width):
-        narrow = force(creeping, speed, force=6.0, creep=width)
-        assert narrow == pytest.approx(force(dry, speed, force=6.0), rel=CLOSE)
+        narrow = force("vertical_creep_friction", speed, force=6.0, creep=width)
+        assert narrow == pytest.approx(force("vertical_coulomb", speed, force=6.0), rel=CLOSE)
     # A hundredth of the width: tanh u = u - u^3/3.
-    wide = force(creeping, width, force=6.0, creep=100 * width)
-    damped = force(viscous, width, damping=6.0 / (100 * width))
+    wide = force("vertical_creep_friction", width, force=6.0, creep=100 * width)
+    damped = force("vertical_viscous", width, damping=6.0 / (100 * width))
     assert wide == pytest.approx(damped * (1 - 1e-4 / 3), rel=1e-8)
 
 
