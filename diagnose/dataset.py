@@ -27,11 +27,9 @@ from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
-from drftjax.recorded.matched_zeta import (
-    ZetaMatchSettings,
-    match_mean_sinkage,
-)
+from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.recorded.setting_off import from_setting_off
 from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
 
@@ -104,12 +102,12 @@ class RigDataset:
     def of(
         cls, runs: Sequence[PreparedRun], settings: DatasetSettings = DEFAULT_DATASET
     ) -> "RigDataset":
-        """Decimate runs to `settings.max_sample_rate` and pad them to common sizes.
+        """Runs from where they set off, with `settings.max_sample_rate` at most, of common sizes.
 
         Raises:
             InputError: where they are not runs of one kind of wheel, carriage and sand.
         """
-        runs = [decimate(each, settings.max_sample_rate) for each in runs]
+        runs = [decimate(from_setting_off(each), settings.max_sample_rate) for each in runs]
         batch = make_batch(
             [each.trial for each in runs],
             [each.observation for each in runs],

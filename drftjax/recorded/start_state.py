@@ -5,6 +5,7 @@ creeps into the sand while it stands, so over a long rest a polynomial through t
 value at the start; over a short one their mean does.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import msgspec
@@ -63,7 +64,7 @@ def start_state(
     time, early = _early_samples(run, rest, settings, noise)
     begun, first = time >= -noise.clock_rounding, time[early][0]
     at_rest = early.sum() > 1 or rest < settings.window
-    if _is_settling(time, run.measured, early, settings, noise):
+    if is_settling(time[early], _place(run.measured, early, noise), settings):
         early = time == first
     start = msgspec.structs.replace(setup.start)
     x, z = run.measured.x, run.measured.z
@@ -91,7 +92,7 @@ def settles_at_first(
     """
     rest = rest_duration(run, radius, settings)
     time, early = _early_samples(run, rest, settings, noise)
-    return _is_settling(time, run.measured, early, settings, noise)
+    return is_settling(time[early], _place(run.measured, early, noise), settings)
 
 
 def _early_samples(
@@ -127,35 +128,41 @@ def rest_duration(run: RunLog, radius: float, settings: StartSettings = DEFAULT_
     return float(command.time[last] - command.time[0])
 
 
-def _is_settling(
+def is_settling(
     time: np.ndarray,
-    measured: Measured,
-    early: np.ndarray,
-    settings: StartSettings,
-    noise: ObservationSettings,
+    place: Mapping[str, tuple[np.ndarray, float]],
+    settings: StartSettings = DEFAULT_START,
 ) -> bool:
-    """True where the wheel moves by more than its instruments' noise in the early samples.
+    """True where the wheel moves by more than its instruments' noise.
 
     Args:
-        time: Of all samples [s], shape (samples,).
-        measured: Their channels.
-        early: True for the early ones, shape (samples,).
+        time: Of a few samples at rest [s], shape (samples,).
+        place: Their x and z [m], as far as they were recorded, each of shape (samples,), with the
+            standard deviation of its noise [m].
         settings: Slope that counts as motion.
-        noise: Resolution of the instruments.
     """
-    if early.sum() < 3:
+    if len(time) < 3:
         return False
-    time = time[early] - time[early].mean()
-    spread = time @ time
-    for name in ("x", "z"):
-        values = getattr(measured, name)
-        if values is None:
-            continue
-        least = settings.settling_errors * instrument_noise(name, values, noise) / np.sqrt(spread)
-        slope = abs(time @ values[early]) / spread
+    since = time - time.mean()
+    spread = since @ since
+    for values, noise in place.values():
+        least = settings.settling_errors * noise / np.sqrt(spread)
+        slope = abs(since @ values) / spread
         if slope > max(least, settings.settling_distance / np.ptp(time)):
             return True
     return False
+
+
+def _place(
+    measured: Measured, samples: np.ndarray, noise: ObservationSettings
+) -> dict[str, tuple[np.ndarray, float]]:
+    """x and z of some samples, as far as they were recorded, with their noise over the run."""
+    both = {"x": measured.x, "z": measured.z}
+    return {
+        name: (values[samples], instrument_noise(name, values, noise))
+        for name, values in both.items()
+        if values is not None
+    }
 
 
 def _creep_start(

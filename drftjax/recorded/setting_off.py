@@ -1,0 +1,116 @@
+"""Recorded runs from where the wheel sets off, without its rest before.
+
+A wheel that stands says little of the sand: every zeta from the one that just carries it upward
+lets it stand. Yet that bound is a cliff. Below it the simulated wheel falls, and with a horizontal
+force on it by half a millimetre at once, as a pull turns the way in which its plates begin to move,
+and they then bear less by some per cent. A rig that came to rest on its sand has its zeta at this
+very edge, and no derivative tells on which side.
+"""
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from drftjax.common.arrays import as_real
+from drftjax.recorded.commanded_motion import is_commanded_to_move
+from drftjax.recorded.observation import ROUNDING, Observation
+from drftjax.recorded.prepared_run import PreparedRun
+from drftjax.recorded.start_state import DEFAULT_START, StartSettings, is_settling
+from drftjax.recorded.wheel_speed import WheelSpeed
+from drftjax.runlog.record import RecordedCommand
+from drftjax.setups.setup import CommandSetUp
+from drftjax.simulation.trial import Trial
+
+
+def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START) -> PreparedRun:
+    """A run from the last moment at which neither wheel nor carriage is commanded to move.
+
+    Its time counts from there. It starts where the wheel stood at last, by the mean of the readings
+    over `settings.window`.
+
+    Args:
+        each: Recorded run.
+        settings: Which samples give the start, and what counts as motion.
+
+    Returns:
+        The same where nothing rests at first, where the wheel was not recorded meanwhile or still
+        settles then, and of a run that was made in the loop, whose replay counts its log's time.
+    """
+    trial, seen = each.trial, each.observation
+    knots = np.asarray(trial.time)
+    begun = float(knots[max(int(np.argmax(is_commanded_to_move(trial, knots))) - 1, 0)])
+    since = seen.time - begun
+    rest = (since >= -settings.window - ROUNDING) & (since <= ROUNDING) & seen.after_start
+    place = {
+        name: (values[rest], noise)
+        for name, (values, noise) in seen.by_channel().items()
+        if name in ("x", "z")
+    }
+    is_known = begun > 0 and rest.sum() > 1 and each.setup.start.speed == 0
+    if not is_known or each.made_in_loop is not None or not np.any(since > ROUNDING):
+        return each
+    if is_settling(since[rest], place, settings):
+        return each
+    start = msgspec.structs.replace(each.setup.start)
+    if "x" in place:
+        start.x = float(place["x"][0].mean())
+    if "z" in place:
+        start.sinkage = -float(place["z"][0].mean())
+    speed = each.wheel_speed
+    setup = msgspec.structs.replace(
+        each.setup, start=start, command=_command_from(each.setup.command, begun)
+    )
+    return replace(
+        each,
+        setup=setup,
+        trial=_trial_from(trial, begun, (start.x, -start.sinkage)),
+        observation=_observation_from(seen, begun),
+        wheel_speed=None if speed is None else _speed_from(speed, begun),
+    )
+
+
+def _from(time: np.ndarray, begun: float, values: np.ndarray) -> np.ndarray:
+    """Knots of a profile from a time on, with one there."""
+    return np.r_[np.interp(begun, time, values), values[time > begun]]
+
+
+def _command_from(command: CommandSetUp, begun: float) -> CommandSetUp:
+    time = np.asarray(command.time) - command.time[0]
+    vx = command.vx
+    return msgspec.structs.replace(
+        command,
+        time=(_from(time, begun, time) - begun).tolist(),
+        omega=_from(time, begun, np.asarray(command.omega, float)).tolist(),
+        vx=None if vx is None else _from(time, begun, np.asarray(vx, float)).tolist(),
+    )
+
+
+def _trial_from(trial: Trial, begun: float, position: tuple[float, float]) -> Trial:
+    time = np.asarray(trial.time)
+    omega, vx = (_from(time, begun, np.asarray(each)) for each in (trial.omega, trial.vx))
+    command = RecordedCommand(_from(time, begun, time) - begun, omega, vx)
+    start = replace(trial.start, position=as_real(np.array(position)))
+    step = float(trial.step)
+    return Trial.of(trial.simulator, start, command, step, trial.every * step)
+
+
+def _observation_from(seen: Observation, begun: float) -> Observation:
+    kept = seen.time >= begun - ROUNDING
+    return replace(
+        seen,
+        time=seen.time[kept] - begun,
+        values=seen.values[:, kept],
+        counts=seen.counts[kept],
+        step_error=None if seen.step_error is None else seen.step_error[:, kept],
+    )
+
+
+def _speed_from(speed: WheelSpeed, begun: float) -> WheelSpeed:
+    kept = speed.time >= begun - ROUNDING
+    return replace(
+        speed,
+        time=speed.time[kept] - begun,
+        measured=speed.measured[kept],
+        commanded=speed.commanded[kept],
+    )
