@@ -187,7 +187,8 @@ def _profiles(runs: Sequence[PreparedRun]) -> list[str]:
         knots = tuple(np.round(np.r_[trial.time, trial.omega, trial.vx], 6))
         if knots not in labels:
             fastest = np.rad2deg(float(np.abs(np.asarray(trial.omega)).max()))
-            label = f"up to {fastest:.3g} deg/s in {float(trial.time[-1]):.3g} s"
+            duration = each.rest_left_out + float(trial.time[-1])
+            label = f"up to {fastest:.3g} deg/s in {duration:.3g} s"
             alike = sum(other.split(" (")[0] == label for other in labels.values())
             labels[knots] = f"{label} ({alike + 1})" if alike else label
         found.append(labels[knots])

@@ -60,6 +60,7 @@ class PreparedRun:
         step_choice: The step that was chosen for it, and its estimated error; None where one was
             given.
         wheel_speed: Measured speed of its wheel; None where there is none.
+        rest_left_out: Rest before it sets off that was left out [s].
     """
 
     name: str
@@ -69,6 +70,7 @@ class PreparedRun:
     made_in_loop: RunLog | None = None
     step_choice: StepChoice | None = None
     wheel_speed: WheelSpeed | None = None
+    rest_left_out: float = 0.0
 
 
 def prepare_run(

@@ -2,9 +2,10 @@
 
 A wheel that stands says little of the sand: every zeta from the one that just carries it upward
 lets it stand. Yet that bound is a cliff. Below it the simulated wheel falls, and with a horizontal
-force on it by half a millimetre at once, as a pull turns the way in which its plates begin to move,
-and they then bear less by some per cent. A rig that came to rest on its sand has its zeta at this
-very edge, and no derivative tells on which side.
+force on it by half a millimetre at once: turned or pulled ever so little, one face of its lowest
+grouser carries in place of two. A rig that came to rest on its sand has its zeta at this very edge,
+and no derivative tells on which side. A driven carriage holds its wheel while it stands, and its
+load cell reads the weight: there the rest tells something.
 """
 
 from dataclasses import replace
@@ -13,10 +14,14 @@ import msgspec
 import numpy as np
 
 from drftjax.common.arrays import as_real
-from drftjax.recorded.commanded_motion import is_commanded_to_move
 from drftjax.recorded.observation import ROUNDING, Observation
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.recorded.start_state import DEFAULT_START, StartSettings, is_settling
+from drftjax.recorded.start_state import (
+    DEFAULT_START,
+    StartSettings,
+    is_settling,
+    rest_duration,
+)
 from drftjax.recorded.wheel_speed import WheelSpeed
 from drftjax.runlog.record import RecordedCommand
 from drftjax.setups.setup import CommandSetUp
@@ -24,7 +29,7 @@ from drftjax.simulation.trial import Trial
 
 
 def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START) -> PreparedRun:
-    """A run from the last moment at which neither wheel nor carriage is commanded to move.
+    """A run of a free carriage from the last moment at which the wheel is commanded to rest.
 
     Its time counts from there. It starts where the wheel stood at last, by the mean of the readings
     over `settings.window`.
@@ -34,12 +39,13 @@ def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START)
         settings: Which samples give the start, and what counts as motion.
 
     Returns:
-        The same where nothing rests at first, where the wheel was not recorded meanwhile or still
-        settles then, and of a run that was made in the loop, whose replay counts its log's time.
+        The same where the carriage is driven, where nothing rests at first, where the wheel was not
+        recorded meanwhile or still settles then, where a rest was left out before, and of a run
+        that was made in the loop, whose replay counts its log's time.
     """
     trial, seen = each.trial, each.observation
-    knots = np.asarray(trial.time)
-    begun = float(knots[max(int(np.argmax(is_commanded_to_move(trial, knots))) - 1, 0)])
+    command = RecordedCommand(*map(np.asarray, (trial.time, trial.omega, trial.vx)))
+    begun = rest_duration(command, each.setup.wheel.radius, settings)
     since = seen.time - begun
     rest = (since >= -settings.window - ROUNDING) & (since <= ROUNDING) & seen.after_start
     place = {
@@ -47,10 +53,11 @@ def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START)
         for name, (values, noise) in seen.by_channel().items()
         if name in ("x", "z")
     }
-    is_known = begun > 0 and rest.sum() > 1 and each.setup.start.speed == 0
-    if not is_known or each.made_in_loop is not None or not np.any(since > ROUNDING):
-        return each
-    if is_settling(since[rest], place, settings):
+    stands = begun > 0 and rest.sum() > 1 and each.setup.start.speed == 0
+    stands = stands and not is_settling(since[rest], place, settings)
+    is_whole = each.rest_left_out == 0 and each.made_in_loop is None
+    is_free = each.setup.rig.carriage == "free"
+    if not (is_free and is_whole and stands and np.any(since > ROUNDING)):
         return each
     start = msgspec.structs.replace(each.setup.start)
     if "x" in place:
@@ -64,9 +71,10 @@ def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START)
     return replace(
         each,
         setup=setup,
-        trial=_trial_from(trial, begun, (start.x, -start.sinkage)),
+        trial=_trial_from(trial, command, begun, (start.x, -start.sinkage)),
         observation=_observation_from(seen, begun),
         wheel_speed=None if speed is None else _speed_from(speed, begun),
+        rest_left_out=begun,
     )
 
 
@@ -86,10 +94,14 @@ def _command_from(command: CommandSetUp, begun: float) -> CommandSetUp:
     )
 
 
-def _trial_from(trial: Trial, begun: float, position: tuple[float, float]) -> Trial:
-    time = np.asarray(trial.time)
-    omega, vx = (_from(time, begun, np.asarray(each)) for each in (trial.omega, trial.vx))
-    command = RecordedCommand(_from(time, begun, time) - begun, omega, vx)
+def _trial_from(
+    trial: Trial, command: RecordedCommand, begun: float, position: tuple[float, float]
+) -> Trial:
+    assert command.vx is not None
+    time, omega, vx = (
+        _from(command.time, begun, each) for each in (command.time, command.omega, command.vx)
+    )
+    command = RecordedCommand(time - begun, omega, vx)
     start = replace(trial.start, position=as_real(np.array(position)))
     step = float(trial.step)
     return Trial.of(trial.simulator, start, command, step, trial.every * step)

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from drftjax.recorded.observation import DEFAULT_OBSERVATION, ObservationSettings, instrument_noise
-from drftjax.runlog.record import Measured, RunLog
+from drftjax.runlog.record import Measured, RecordedCommand, RunLog
 from drftjax.setups.setup import SetUp, StartSetUp
 
 
@@ -60,7 +60,7 @@ def start_state(
         settings: Which samples count, and by which curve.
         noise: Resolution of the instruments.
     """
-    rest = rest_duration(run, setup.wheel.radius, settings)
+    rest = rest_duration(run.command, setup.wheel.radius, settings)
     time, early = _early_samples(run, rest, settings, noise)
     begun, first = time >= -noise.clock_rounding, time[early][0]
     at_rest = early.sum() > 1 or rest < settings.window
@@ -90,7 +90,7 @@ def settles_at_first(
 
     Arguments as for `start_state`, with the rim radius [m].
     """
-    rest = rest_duration(run, radius, settings)
+    rest = rest_duration(run.command, radius, settings)
     time, early = _early_samples(run, rest, settings, noise)
     return is_settling(time[early], _place(run.measured, early, noise), settings)
 
@@ -110,15 +110,16 @@ def _early_samples(
     return time, begun & (time <= max(window, time[begun][0]))
 
 
-def rest_duration(run: RunLog, radius: float, settings: StartSettings = DEFAULT_START) -> float:
+def rest_duration(
+    command: RecordedCommand, radius: float, settings: StartSettings = DEFAULT_START
+) -> float:
     """Time from the first command up to which neither wheel nor carriage is commanded to move [s].
 
     Args:
-        run: Recorded run.
+        command: Of a run.
         radius: Rim radius [m].
         settings: Motion that counts as rest.
     """
-    command = run.command
     speeds = np.stack(
         [radius * command.omega, 0 * command.omega if command.vx is None else command.vx]
     )

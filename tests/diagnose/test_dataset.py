@@ -17,6 +17,7 @@ from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, pr
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
+from drftjax.recorded.setting_off import from_setting_off
 from drftjax.setups.setup import WheelSetUp
 from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
@@ -37,7 +38,7 @@ def logged(rate: float) -> PreparedRun:
 def test_a_run_that_was_logged_fast_counts_as_one_of_a_hundred_samples_a_second(rate, kept):
     fast = logged(rate)
     (each,) = RigDataset.of([fast]).runs
-    seen, whole = each.observation, fast.observation
+    seen, whole = each.observation, from_setting_off(fast).observation
     assert np.array_equal(seen.time, whole.time[::kept])
     assert np.array_equal(seen.values, whole.values[:, ::kept])
     assert np.array_equal(seen.counts, whole.counts[::kept])

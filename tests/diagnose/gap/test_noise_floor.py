@@ -16,6 +16,7 @@ from diagnose.gap.gap import GapSettings, gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
 from diagnose.model.augmented_model import AugmentedModel
+from drftjax.recorded.setting_off import from_setting_off
 from tests.helpers.synthetic_runs import PLATE, coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])
@@ -33,7 +34,7 @@ HELD = (0.80, 0.97)
 
 @pytest.fixture(scope="module")
 def run():
-    return coarse("run", recorded(setup_of(PROFILE), rate=100.0, noise=0.0))
+    return from_setting_off(coarse("run", recorded(setup_of(PROFILE), rate=100.0, noise=0.0)))
 
 
 def test_the_own_error_is_what_finer_plates_leave_of_a_run_by_the_coarse(run, pool):
