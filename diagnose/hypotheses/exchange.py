@@ -5,6 +5,7 @@ and a filter of the instruments, the one that leads early may be the wrong one, 
 later makes up for it.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,7 @@ from diagnose.hypotheses.linear_ranking import DEFAULT_RANKINGS, Ranking, fits_b
 from diagnose.hypotheses.set_candidates import (
     SetCandidate,
     exact_beside,
+    joined,
     joined_from_null,
     leading_beside,
     taking_turns,
@@ -22,6 +24,7 @@ from diagnose.hypotheses.set_candidates import (
 )
 from diagnose.hypotheses.set_screening import without_effect
 from diagnose.linear.regressors import Regressors, ShapeVariant
+from diagnose.model.augmented_model import AugmentedModel
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.effects.catalogue import catalogue, reported_name, reported_names, strengths
@@ -41,6 +44,10 @@ class ExchangeSettings:
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
         rankings: Linear fits rank what may take an effect's place once by each of these.
+        max_pair_deficit: Two effects are exchanged at once where each exchange alone leaves the set
+            no further behind in log score [-]. Where two effects make up for two others, either of
+            these alone is worse than both and than neither.
+        max_pairs: Sets with two exchanged, at most.
         min_term_ratio: Ratio of the first shapes of two terms of a sum, at least [-]. Nearer ones
             together make up for a value between two of the grid's, which the refinement of one
             finds.
@@ -52,6 +59,8 @@ class ExchangeSettings:
     max_alike: int = 6
     max_continued: int = 2
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS[-2:]
+    max_pair_deficit: float = 20.0
+    max_pairs: int = 3
     min_term_ratio: float = 1.28
 
 
@@ -186,6 +195,76 @@ def _sum_beside(
     variant = ShapeVariant(kind, tuple(values), columns, neighbours=())
     whole = replace(fit, coefficients=np.r_[change, added])
     return joined_from_null(regressors, rest, [variant], whole)
+
+
+def exchanged_pairs(
+    best: Hypothesis,
+    exchanged: Sequence[Hypothesis],
+    settings: ExchangeSettings = DEFAULT_EXCHANGE,
+) -> list[Hypothesis]:
+    """A set with two of its effects replaced at once, as each was replaced alone.
+
+    What the two exchanges change adds up.
+
+    Args:
+        best: The set, simulated.
+        exchanged: The same with one effect replaced, simulated.
+        settings: Numbers of the choice.
+
+    Returns:
+        Sets that are none of the given, with the step to where both exchanges lead.
+    """
+    least = best.score - settings.max_pair_deficit
+    alone = [
+        each
+        for each in exchanged
+        if each.is_simulated
+        and each.score > least
+        and len(each.names) == len(best.names) == len({*each.names, *best.names}) - 1
+    ]
+    alone.sort(key=lambda each: -each.score)
+    known = {frozenset(each.names) for each in (best, *exchanged)}
+    found = []
+    for one, other in sorted(
+        itertools.combinations(alone, 2), key=lambda pair: -sum(each.score for each in pair)
+    ):
+        (gone,) = set(best.names).difference(other.names)
+        (added,) = set(other.names).difference(best.names)
+        names = frozenset(one.names) - {gone} | {added}
+        # Of two that replace the same effect, the names are one too many.
+        has_room = len(found) < settings.max_pairs and len(names) == len(best.names)
+        if has_room and len(reported_names(names)) == len(names) and names not in known:
+            known.add(names)
+            found.append(_with_both(best, one, other, gone, added))
+    return found
+
+
+def _with_both(
+    best: Hypothesis, one: Hypothesis, other: Hypothesis, gone: str, added: str
+) -> Hypothesis:
+    """The set `one` with an effect of the set `other` in the place of another."""
+    base = without_effect(one, one.names.index(gone))
+    place = other.names.index(added)
+    own = [k for k, free in enumerate(other.model.free) if free.index == place]
+    columns = [each[:, :, [0, *(1 + k for k in own)]] for each in other.columns]
+    before, after = (_by_field(each) for each in (best, other))
+    change = [after[key] - before[key] if key in before else 0.0 for key in _by_field(base)]
+    return joined(
+        base,
+        AugmentedModel((other.model.effects[place],)),
+        other.coordinates[own],
+        columns,
+        one.fit,
+        (other.log_zeta - best.log_zeta, np.r_[change, np.zeros(len(own))]),
+    )
+
+
+def _by_field(each: Hypothesis) -> dict[tuple[str, str], float]:
+    """A hypothesis's coordinates by effect and field."""
+    names, found = each.names, dict[tuple[str, str], float]()
+    for free, value in zip(each.model.free, each.coordinates, strict=True):
+        found[names[free.index], free.field] = float(value)
+    return found
 
 
 def _ratio(first: ShapeVariant, second: ShapeVariant) -> float:

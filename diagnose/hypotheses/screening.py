@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.hypotheses.exchange import exchanged_sets
+from diagnose.hypotheses.exchange import exchanged_pairs, exchanged_sets
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     best_first,
@@ -263,7 +263,7 @@ class Screening:
     def with_look_alikes(
         self, best: Hypothesis, known: Sequence[Hypothesis], limits: SetScreeningSettings
     ) -> list[Hypothesis]:
-        """A set with look-alikes in the places of its effects, simulated, best first.
+        """A set with look-alikes in the places of its effects, of one or of two, simulated.
 
         Args:
             best: The set.
@@ -281,7 +281,10 @@ class Screening:
             for each in race(self.regressors, starts, self.pool, of_place, settings.refinement)
         ]
         # A look-alike with which no run can be simulated says nothing.
-        return [each for each in self.finish(tried, best.score) if each.is_simulated]
+        done = [each for each in self.finish(tried, best.score) if each.is_simulated]
+        pairs = exchanged_pairs(best, [*known, *done], exchange)
+        raced = race(self.regressors, pairs, self.pool, of_place, settings.refinement)
+        return done + [each for each in self.finish(raced, best.score) if each.is_simulated]
 
     def rivals(
         self, found: ScreeningResult, told: Hypothesis, weighed: Sequence[Hypothesis]

@@ -292,7 +292,7 @@ def _join_refined(
     null = np.where(shape, other.coordinates, 0.0)
     zeta = fit.log_zeta_change + share * (other.log_zeta - regressors.log_zeta)
     change = np.r_[fit.coefficients[:-1], share * (other.coordinates - null)]
-    return _join(first, other.model, null, other.columns, fit, (zeta, change))
+    return joined(first, other.model, null, other.columns, fit, (zeta, change))
 
 
 def exact_beside(
@@ -413,10 +413,10 @@ def joined_from_null(
             np.concatenate([mine[:, :, :1], given, mine[:, :, 1 + given.shape[2] :]], axis=2)
             for mine, given in zip(columns, exact, strict=True)
         ]
-    return _join(first, added.model, added.coordinates, columns, fit, step)
+    return joined(first, added.model, added.coordinates, columns, fit, step)
 
 
-def _join(
+def joined(
     first: Hypothesis,
     model: AugmentedModel,
     coordinates: np.ndarray,
@@ -424,7 +424,15 @@ def _join(
     fit: LinearFit,
     step: tuple[np.ndarray, np.ndarray],
 ) -> Hypothesis:
-    """A refined base with another effect at its null, and the step that is proposed for both."""
+    """A refined base with further effects, and the step that is proposed for all.
+
+    Args:
+        first: The base.
+        model, coordinates: The further effects and their numbers.
+        columns: By run, derivatives by (own log zeta, these numbers).
+        fit: What is known of all together.
+        step: Change of the runs' log zeta [-], and of the coordinates, the base's first.
+    """
     both = [
         np.concatenate([mine, more[:, :, 1:]], axis=2)
         for mine, more in zip(first.columns, columns, strict=True)

@@ -3,10 +3,11 @@
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from diagnose.dataset import match_initial_zeta
-from diagnose.hypotheses.exchange import ExchangeSettings, exchanged_sets
+from diagnose.hypotheses.exchange import ExchangeSettings, exchanged_pairs, exchanged_sets
 from diagnose.hypotheses.hypothesis import Hypothesis, best_of_each, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.screening import Screening, ScreeningResult
@@ -88,6 +89,35 @@ def test_forms_of_one_effect_take_one_place_of_the_three_that_are_tried_in_any_c
         assert len(tried) == len(set(tried)) >= ExchangeSettings().min_alike
 
 
+def test_two_look_alikes_are_exchanged_at_once_where_each_alone_is_nearly_as_good(
+    regressors, wrong, pool
+):
+    of = {each.effect.about.name: each for each in regressors.variants}
+
+    def pair(*names: str) -> Hypothesis:
+        begun = refine(regressors, linear_start(regressors, [of[n] for n in names]), 2, pool)
+        return refine(regressors, relinearize(regressors, begun, pool), 3, pool)
+
+    one = pair("horizontal_coulomb", "measurement_filter")
+    same_place = pair("surface_slope", "measurement_filter")
+    other = pair("drawbar", "speed_lag")
+    near = replace(ExchangeSettings(), max_pair_deficit=np.inf)
+    (both,) = exchanged_pairs(wrong, [one, other], near)
+    assert set(both.names) == {"horizontal_coulomb", "speed_lag"}
+    assert exchanged_pairs(wrong, [one, same_place], near) == []
+    assert exchanged_pairs(wrong, [one, other, both], near) == []
+    assert exchanged_pairs(wrong, [one, other], replace(near, max_pairs=0)) == []
+    far = min(one.score, other.score) - 1
+    behind = replace(wrong, fit=replace(wrong.fit, score=far + 2 + 10.0))
+    assert exchanged_pairs(behind, [one, other], replace(near, max_pair_deficit=10.0)) == []
+    # What both change adds up, and leads to the truth. A pull does as well as friction here.
+    started = refine(regressors, both, 1, pool)
+    found = refine(regressors, relinearize(regressors, started, pool), 4, pool)
+    assert found.score == pytest.approx(max(one.score, other.score), abs=0.1)
+    lag = next(k for k, free in enumerate(found.model.free) if free.field == "lag")
+    assert found.model.free[lag].value(found.coordinates[lag]) == pytest.approx(0.15, rel=0.1)
+
+
 def test_a_sum_of_waves_is_tried_in_the_place_of_one_wave(pool):
     waves = {
         "name": "terrain_waves",
@@ -135,8 +165,9 @@ def test_a_look_alike_leads_to_the_true_lag(regressors, wrong, pool):
     assert all(len(set(each.names) & set(wrong.names)) == 1 for each in found)
     lag = next(each for each in found if each.names == ("drawbar", "speed_lag"))
     assert lag.proposed_step is not None
-    # It begins where it does what the filter did, not at its null.
-    assert lag.model.free[1].value(lag.proposed_step[1][1]) == pytest.approx(0.15, rel=0.3)
+    # It begins where it does what the filter did, which hardly shows where the wheel sets off and
+    # is made up for there by zeta: not at its null.
+    assert lag.model.free[1].value(lag.proposed_step[1][1]) == pytest.approx(0.15, rel=0.5)
     moved = refine(regressors, lag, 3, pool)
     exact = refine(regressors, relinearize(regressors, moved, pool), 3, pool)
     assert exact.score > wrong.score

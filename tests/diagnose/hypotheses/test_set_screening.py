@@ -37,11 +37,11 @@ START, TOLD = 0.1, 0.03
 LEFT = 30e-6
 # Log score that noise alone gives a third effect on three short runs.
 THIRD_GAINS = 8.0
-# A damper, not friction: what friction does a pull does as well on a wheel that only goes forward,
-# and its derivative hangs on rounding where the wheel nearly sticks.
-TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_viscous": {"damping": 60.0}}
+# A damper, and no friction among the candidates: what friction does a pull does as well on a wheel
+# that only goes forward.
+TRUTH = {"vertical_viscous": {"damping": 1500.0}, "horizontal_viscous": {"damping": 30.0}}
 CANDIDATES = (
-    *("cohesion", "vertical_viscous", "horizontal_viscous", "horizontal_coulomb", "drawbar"),
+    *("cohesion", "vertical_viscous", "horizontal_viscous", "sinkage_gain", "drawbar"),
     *("measurement_delay", "surface_slope", "rate_hardening"),
 )
 
