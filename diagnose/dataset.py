@@ -36,8 +36,7 @@ from drftjax.simulation.trial import Trial
 Result = TypeVar("Result")
 
 PLAIN_SECTORS = 32  # of a bare rim, of which those that reach the sand are carried
-# Lengths are padded to this at least [samples]; padding costs next to nothing.
-MIN_PADDED_SIZE = 2304
+MIN_PADDED_SIZE = 2304  # of all lengths [samples]; padding costs next to nothing
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,6 @@ class DatasetSettings:
 
 
 DEFAULT_DATASET = DatasetSettings()
-
 
 INITIAL_ZETA_MATCH = ZetaMatchSettings(max_steps=12)
 
@@ -215,6 +213,10 @@ class RigDataset:
     def time(self, run: int) -> np.ndarray:
         """Times of the samples compared [s], shape (samples,)."""
         return self.runs[run].observation.time[self.counts(run)]
+
+    def logged_time(self, run: int) -> np.ndarray:
+        """The same from the log's first command on, with the rest that was left out [s]."""
+        return self.time(run) + self.runs[run].rest_left_out
 
     def sample_interval(self, run: int) -> float:
         """Median time between the samples compared [s]; that of the largest rate for only one."""

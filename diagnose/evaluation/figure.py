@@ -2,7 +2,6 @@
 
 from typing import Final
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from diagnose.evaluation.result import Evaluation
@@ -33,7 +32,7 @@ def evaluation_figure(found: Evaluation) -> Figure:
                 ComparedChannel(
                     title,
                     channel,
-                    np.asarray(dataset.time(run)),
+                    dataset.logged_time(run),
                     recorded[place],
                     {name: recorded[place] + residual for name, residual in simulated.items()},
                     found.floors[channel],

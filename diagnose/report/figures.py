@@ -191,7 +191,7 @@ def residuals(found: Diagnosis, settings: FigureSettings = DEFAULT_FIGURES) -> F
         channel = dataset.channels[place]
         scale = label_difference(axes, channel, "residual")
         draw_floor(axes, found.floors[channel] * scale)
-        time = dataset.time(run)
+        time = dataset.logged_time(run)
         every = max(1, len(time) // settings.max_points)
         for label, role, values in lines:
             shown = scale * values[run][place][::every]

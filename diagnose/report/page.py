@@ -141,7 +141,7 @@ def recorded_and_simulated(found: Diagnosis) -> RunCurves:
         ]
         # Sinkage first: it is what the sand's model is about.
         panels.sort(key=lambda panel: not panel.downward)
-        runs.append(RunPanels(run.name, dataset.time(number), panels))
+        runs.append(RunPanels(run.name, dataset.logged_time(number), panels))
     return RunCurves(runs, CurveLabels(before="reference model", after=f"with {_added(found)}"))
 
 

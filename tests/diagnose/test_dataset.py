@@ -48,6 +48,14 @@ def test_a_run_that_was_logged_fast_counts_as_one_of_a_hundred_samples_a_second(
     assert decimate(each) is each
 
 
+def test_times_are_told_as_the_log_counts_them():
+    run = logged(100.0)
+    dataset = RigDataset.of([run])
+    assert dataset.time(0)[0] == pytest.approx(0.0, abs=1e-9)
+    last = run.observation.time[run.observation.counts][-1]
+    assert dataset.logged_time(0)[-1] == pytest.approx(last)
+
+
 def test_a_run_without_samples_early_in_the_motion_is_met_by_all_it_has():
     each = logged(50.0)
     seen = each.observation
