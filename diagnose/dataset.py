@@ -23,13 +23,13 @@ from diagnose.model.augmented_model import (
 )
 from diagnose.model.carriage_hold import CarriageHold
 from diagnose.run_pool import RunPool
+from diagnose.setting_off import from_setting_off
 from drftjax.common.arrays import as_real
 from drftjax.common.errors import InputError, RunError
 from drftjax.physics.wheel import DEFAULT_REACH
 from drftjax.recorded.batch import Batch, PaddedObservations, make_batch
 from drftjax.recorded.matched_zeta import ZetaMatchSettings, match_mean_sinkage
 from drftjax.recorded.prepared_run import PreparedRun
-from drftjax.recorded.setting_off import from_setting_off
 from drftjax.simulation.step_error import parts_within_turn, step_error
 from drftjax.simulation.trial import Trial
 

@@ -14,10 +14,10 @@ from diagnose.dataset import (
     decimate,
 )
 from diagnose.model.augmented_model import MAX_COVERED_SHARE, AugmentedModel, predict
+from diagnose.setting_off import from_setting_off
 from drftjax.effects.catalogue import effect_class
 from drftjax.recorded.observation import white_noise
 from drftjax.recorded.prepared_run import PreparedRun, prepare_run
-from drftjax.recorded.setting_off import from_setting_off
 from drftjax.setups.setup import WheelSetUp
 from tests.helpers.rig_datasets import dataset_with
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of

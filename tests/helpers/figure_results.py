@@ -50,7 +50,7 @@ def all_figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
     dataset = loose(
         channels=CHANNELS,
         runs=[loose(name="slow_a"), loose(name="fast")],
-        time=lambda run: TIME,
+        logged_time=lambda run: TIME,
         recording=lambda run: RECORDED,
     )
     return {

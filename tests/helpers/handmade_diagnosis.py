@@ -44,6 +44,7 @@ def handmade_diagnosis(names: list[str], samples: int = 1200, found: bool = True
         runs=runs,
         channels=CHANNELS,
         time=lambda run: time,
+        logged_time=lambda run: time,
         recording=lambda run: recorded[run],
         sample_interval=lambda run: float(time[1]),
     )

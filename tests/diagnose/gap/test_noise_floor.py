@@ -16,7 +16,7 @@ from diagnose.gap.gap import GapSettings, gaps, share_removed
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.gap.zeta_matching import match_runs
 from diagnose.model.augmented_model import AugmentedModel
-from drftjax.recorded.setting_off import from_setting_off
+from diagnose.setting_off import from_setting_off
 from tests.helpers.synthetic_runs import PLATE, coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.3, 1.3, 2.5], [0.0, 0.0, 0.9, 0.9])

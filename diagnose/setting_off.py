@@ -10,7 +10,6 @@ load cell reads the weight: there the rest tells something.
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 
 from drftjax.common.arrays import as_real
@@ -22,17 +21,15 @@ from drftjax.recorded.start_state import (
     is_settling,
     rest_duration,
 )
-from drftjax.recorded.wheel_speed import WheelSpeed
 from drftjax.runlog.record import RecordedCommand
-from drftjax.setups.setup import CommandSetUp
 from drftjax.simulation.trial import Trial
 
 
 def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START) -> PreparedRun:
     """A run of a free carriage from the last moment at which the wheel is commanded to rest.
 
-    Its time counts from there. It starts where the wheel stood at last, by the mean of the readings
-    over `settings.window`.
+    Its trial and observation count time from there; its set-up stays that of the whole. It starts
+    where the wheel stood at last, by the mean of the readings over `settings.window`.
 
     Args:
         each: Recorded run.
@@ -44,7 +41,8 @@ def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START)
         that was made in the loop, whose replay counts its log's time.
     """
     trial, seen = each.trial, each.observation
-    command = RecordedCommand(*map(np.asarray, (trial.time, trial.omega, trial.vx)))
+    vx = np.asarray(trial.vx)
+    command = RecordedCommand(np.asarray(trial.time), np.asarray(trial.omega), vx)
     begun = rest_duration(command, each.setup.wheel.radius, settings)
     since = seen.time - begun
     rest = (since >= -settings.window - ROUNDING) & (since <= ROUNDING) & seen.after_start
@@ -59,21 +57,22 @@ def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START)
     is_free = each.setup.rig.carriage == "free"
     if not (is_free and is_whole and stands and np.any(since > ROUNDING)):
         return each
-    start = msgspec.structs.replace(each.setup.start)
-    if "x" in place:
-        start.x = float(place["x"][0].mean())
-    if "z" in place:
-        start.sinkage = -float(place["z"][0].mean())
-    speed = each.wheel_speed
-    setup = msgspec.structs.replace(
-        each.setup, start=start, command=_command_from(each.setup.command, begun)
-    )
+    position = np.array(trial.start.position)
+    for axis, name in enumerate("xz"):
+        if name in place:
+            position[axis] = place[name][0].mean()
+    time, omega, vx = (_from(command.time, begun, c) for c in (command.time, command.omega, vx))
+    step = float(trial.step)
     return replace(
         each,
-        setup=setup,
-        trial=_trial_from(trial, command, begun, (start.x, -start.sinkage)),
+        trial=Trial.of(
+            trial.simulator,
+            replace(trial.start, position=as_real(position)),
+            RecordedCommand(time - begun, omega, vx),
+            step,
+            trial.every * step,
+        ),
         observation=_observation_from(seen, begun),
-        wheel_speed=None if speed is None else _speed_from(speed, begun),
         rest_left_out=begun,
     )
 
@@ -81,30 +80,6 @@ def from_setting_off(each: PreparedRun, settings: StartSettings = DEFAULT_START)
 def _from(time: np.ndarray, begun: float, values: np.ndarray) -> np.ndarray:
     """Knots of a profile from a time on, with one there."""
     return np.r_[np.interp(begun, time, values), values[time > begun]]
-
-
-def _command_from(command: CommandSetUp, begun: float) -> CommandSetUp:
-    time = np.asarray(command.time) - command.time[0]
-    vx = command.vx
-    return msgspec.structs.replace(
-        command,
-        time=(_from(time, begun, time) - begun).tolist(),
-        omega=_from(time, begun, np.asarray(command.omega, float)).tolist(),
-        vx=None if vx is None else _from(time, begun, np.asarray(vx, float)).tolist(),
-    )
-
-
-def _trial_from(
-    trial: Trial, command: RecordedCommand, begun: float, position: tuple[float, float]
-) -> Trial:
-    assert command.vx is not None
-    time, omega, vx = (
-        _from(command.time, begun, each) for each in (command.time, command.omega, command.vx)
-    )
-    command = RecordedCommand(time - begun, omega, vx)
-    start = replace(trial.start, position=as_real(np.array(position)))
-    step = float(trial.step)
-    return Trial.of(trial.simulator, start, command, step, trial.every * step)
 
 
 def _observation_from(seen: Observation, begun: float) -> Observation:
@@ -115,14 +90,4 @@ def _observation_from(seen: Observation, begun: float) -> Observation:
         values=seen.values[:, kept],
         counts=seen.counts[kept],
         step_error=None if seen.step_error is None else seen.step_error[:, kept],
-    )
-
-
-def _speed_from(speed: WheelSpeed, begun: float) -> WheelSpeed:
-    kept = speed.time >= begun - ROUNDING
-    return replace(
-        speed,
-        time=speed.time[kept] - begun,
-        measured=speed.measured[kept],
-        commanded=speed.commanded[kept],
     )
