@@ -152,7 +152,7 @@ def test_the_model_file_simulates_and_closes_the_gap_of_a_fresh_run(
     assert drft("simulate", files / "model.toml", "-o", tmp_path / "again.h5").code == 0
     again = read_run(tmp_path / "again.h5").measured
     first = found.dataset.recording(0)[found.dataset.channels.index("z")]
-    then = np.interp(found.dataset.time(0), again.time, again.z)
+    then = np.interp(found.dataset.logged_time(0), again.time, again.z)
     assert np.abs(then - first).max() < MEAN_ZETA
     fresh = written(tmp_path, "fresh", *FRESH, seed=9)
     report = tmp_path / "evaluation.json"
