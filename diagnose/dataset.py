@@ -49,10 +49,12 @@ class DatasetSettings:
             being read more often.
         plate_margin: Plates are carried for a wheel that sinks this many times as deep as was
             recorded [-], so that a model with effects may sink somewhat deeper.
+        with_first_rest: A run keeps its rest before it sets off (`diagnose.setting_off`).
     """
 
     max_sample_rate: float = 100.0
     plate_margin: float = 1.25
+    with_first_rest: bool = False
 
 
 DEFAULT_DATASET = DatasetSettings()
@@ -105,13 +107,10 @@ class RigDataset:
         Raises:
             InputError: where they are not runs of one kind of wheel, carriage and sand.
         """
-        runs = [decimate(from_setting_off(each), settings.max_sample_rate) for each in runs]
-        batch = make_batch(
-            [each.trial for each in runs],
-            [each.observation for each in runs],
-            size=padded_count,
-        )
-        return cls(runs, batch, settings)
+        begun = runs if settings.with_first_rest else [from_setting_off(each) for each in runs]
+        runs = [decimate(each, settings.max_sample_rate) for each in begun]
+        trials, seen = [each.trial for each in runs], [each.observation for each in runs]
+        return cls(runs, make_batch(trials, seen, size=padded_count), settings)
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -44,10 +44,10 @@ class ExchangeSettings:
         max_continued: Of these so many get more than one simulation. Where others made up for a
             wrong effect, one simulation does not tell the right one yet.
         rankings: Linear fits rank what may take an effect's place once by each of these.
-        max_pair_deficit: Two effects are exchanged at once where each exchange alone leaves the set
-            no further behind in log score [-]. Where two effects make up for two others, either of
-            these alone is worse than both and than neither.
-        max_pairs: Sets with two exchanged, at most.
+        max_deficit_alone: Two effects are exchanged at once where each exchange alone leaves the
+            set no further behind in log score [-]. Where two effects make up for two others, either
+            of these alone is worse than both and than neither.
+        max_doubly_exchanged: Sets with two exchanged, at most.
         min_term_ratio: Ratio of the first shapes of two terms of a sum, at least [-]. Nearer ones
             together make up for a value between two of the grid's, which the refinement of one
             finds.
@@ -59,8 +59,8 @@ class ExchangeSettings:
     max_alike: int = 6
     max_continued: int = 2
     rankings: tuple[Ranking, ...] = DEFAULT_RANKINGS[-2:]
-    max_pair_deficit: float = 20.0
-    max_pairs: int = 3
+    max_deficit_alone: float = 20.0
+    max_doubly_exchanged: int = 3
     min_term_ratio: float = 1.28
 
 
@@ -197,7 +197,7 @@ def _sum_beside(
     return joined_from_null(regressors, rest, [variant], whole)
 
 
-def exchanged_pairs(
+def doubly_exchanged(
     best: Hypothesis,
     exchanged: Sequence[Hypothesis],
     settings: ExchangeSettings = DEFAULT_EXCHANGE,
@@ -214,7 +214,7 @@ def exchanged_pairs(
     Returns:
         Sets that are none of the given, with the step to where both exchanges lead.
     """
-    least = best.score - settings.max_pair_deficit
+    least = best.score - settings.max_deficit_alone
     alone = [
         each
         for each in exchanged
@@ -232,7 +232,7 @@ def exchanged_pairs(
         (added,) = set(other.names).difference(best.names)
         names = frozenset(one.names) - {gone} | {added}
         # Of two that replace the same effect, the names are one too many.
-        has_room = len(found) < settings.max_pairs and len(names) == len(best.names)
+        has_room = len(found) < settings.max_doubly_exchanged and len(names) == len(best.names)
         if has_room and len(reported_names(names)) == len(names) and names not in known:
             known.add(names)
             found.append(_with_both(best, one, other, gone, added))

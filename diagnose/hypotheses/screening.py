@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnose.dataset import RigDataset, match_initial_zeta
-from diagnose.hypotheses.exchange import exchanged_pairs, exchanged_sets
+from diagnose.hypotheses.exchange import doubly_exchanged, exchanged_sets
 from diagnose.hypotheses.hypothesis import (
     Hypothesis,
     best_first,
@@ -282,8 +282,8 @@ class Screening:
         ]
         # A look-alike with which no run can be simulated says nothing.
         done = [each for each in self.finish(tried, best.score) if each.is_simulated]
-        pairs = exchanged_pairs(best, [*known, *done], exchange)
-        raced = race(self.regressors, pairs, self.pool, of_place, settings.refinement)
+        twice = doubly_exchanged(best, [*known, *done], exchange)
+        raced = race(self.regressors, twice, self.pool, of_place, settings.refinement)
         return done + [each for each in self.finish(raced, best.score) if each.is_simulated]
 
     def rivals(

@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from diagnose.dataset import DatasetSettings, RigDataset
 from diagnose.setting_off import from_setting_off
 from drftjax.recorded.prepared_run import PreparedRun
 from drftjax.simulation.statics import zeta_from_sinkage
@@ -36,6 +37,14 @@ def test_the_rest_is_left_out_and_time_counts_from_its_end():
     np.testing.assert_array_equal(found.observation.noise, whole.observation.noise)
     assert found.trial.rows * float(found.trial.step) == pytest.approx(1.5, abs=CLOCK)
     assert found.rest_left_out == pytest.approx(REST)
+
+
+def test_a_dataset_leaves_the_rest_out_unless_it_is_told_to_keep_it():
+    whole = run_of()
+    (cut,) = RigDataset.of([whole]).runs
+    assert cut.rest_left_out == pytest.approx(REST)
+    (kept,) = RigDataset.of([whole], DatasetSettings(with_first_rest=True)).runs
+    assert kept is whole
 
 
 def test_a_slow_start_is_not_taken_for_more_of_the_rest():

@@ -1,6 +1,12 @@
 """A case for a diagnosis: three short runs of one virtual rig, two of one command."""
 
-from diagnose.dataset import RigDataset, in_short_steps, without_step_errors
+from diagnose.dataset import (
+    DEFAULT_DATASET,
+    DatasetSettings,
+    RigDataset,
+    in_short_steps,
+    without_step_errors,
+)
 from diagnose.run_pool import RunPool
 from diagnose.selection.verdict import VerdictSettings
 from diagnose.settings import DiagnosisSettings
@@ -12,6 +18,10 @@ from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 # No run is proposed that would tell the verdict from its rivals: simulating the runs to choose from
 # takes a third of a diagnosis, and only tests of the proposal ask for it.
 WITHOUT_NEXT_RUN = DiagnosisSettings(verdict=VerdictSettings(max_competing=0))
+
+# A standing wheel tells friction from a pull, and a lag from a filter: tests of how sets are found
+# keep that.
+WITH_REST = DatasetSettings(with_first_rest=True)
 
 # Slow and fast, long enough that what grows with travel shows.
 PROFILES = (
@@ -54,7 +64,9 @@ def run_with(
     return recorded(setup, seed=seed, noise=noise)
 
 
-def dataset_with(*effects: dict, scale: float = 1.0) -> RigDataset:
+def dataset_with(
+    *effects: dict, scale: float = 1.0, settings: DatasetSettings = DEFAULT_DATASET
+) -> RigDataset:
     """Runs of a rig with these effects, as entries of a set-up file.
 
     They are simulated in short steps. The wheel stands at rest where its sinkage reads `scale`
@@ -67,4 +79,4 @@ def dataset_with(*effects: dict, scale: float = 1.0) -> RigDataset:
         setup.start.sinkage *= scale
         found.append(coarse(f"run {number}", recorded(setup, seed=number, rate=100.0)))
     with RunPool() as pool:
-        return without_step_errors(in_short_steps(RigDataset.of(found)), pool)
+        return without_step_errors(in_short_steps(RigDataset.of(found, settings)), pool)

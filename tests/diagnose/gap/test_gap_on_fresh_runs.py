@@ -12,7 +12,7 @@ from diagnose.linear.linear_fit import LinearFitSettings
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors
 from diagnose.model.augmented_model import AugmentedModel
-from tests.helpers.rig_datasets import dataset_with
+from tests.helpers.rig_datasets import WITH_REST, dataset_with
 
 # Secant steps end where 2e-5 of zeta is left: about half a micrometre of half a millimetre.
 AGREE = 2e-3
@@ -21,7 +21,7 @@ AGREE = 2e-3
 @pytest.fixture(scope="module")
 def drifting() -> RigDataset:
     """Runs whose z reads over a millimetre too high on the mean, where 5 % of zeta would be."""
-    return dataset_with({"name": "sinkage_drift", "rate": 5e-4})
+    return dataset_with({"name": "sinkage_drift", "rate": 5e-4}, settings=WITH_REST)
 
 
 def rms(residual: list[np.ndarray]) -> np.ndarray:
@@ -42,6 +42,6 @@ def test_the_gap_is_that_which_an_evaluation_of_the_same_runs_finds(drifting, po
         return
     # Without levels the zeta that suits all channels best gives z up for x.
     x, z = (drifting.channels.index(channel) for channel in "xz")
-    # And by far, 2.4 and 2.6 times: x has more samples to say so, and less noise.
+    # And by far: x has more samples to say so, and less noise.
     assert rms(met)[z] < 0.5 * rms(none.residual)[z]
-    assert rms(met)[x] > 2 * rms(none.residual)[x]
+    assert rms(met)[x] > 3 * rms(none.residual)[x]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from diagnose.api import diagnose
-from diagnose.dataset import RigDataset, step_errors
+from diagnose.dataset import DEFAULT_DATASET, DatasetSettings, RigDataset, step_errors
 from diagnose.gap.noise_floor import noise_floors
 from diagnose.model.augmented_model import AugmentedModel
 from diagnose.model.carriage_hold import HALF_WINDOW, LET_GO
 from drftjax.effects.rig import CableSpring, Drawbar, HorizontalCoulomb, VerticalLoad
 from drftjax.effects.terrain import SlipSoftening
-from drftjax.recorded.prepared_run import PreparedRun
+from tests.helpers.rig_datasets import WITH_REST
 from tests.helpers.synthetic_runs import coarse, recorded, setup_of
 
 PROFILE = ([0.0, 0.5, 1.5, 4.0], [0.0, 0.0, 0.6, 0.6])
@@ -30,15 +30,16 @@ OF_STEPS = 0.008
 DRAWS, READINGS = 0.06, 0.3
 
 
-def rig(*effects: dict, vx: list[float] | None = None, channels=CHANNELS) -> RigDataset:
-    return RigDataset.of([run_of(*effects, vx=vx, channels=channels)])
-
-
-def run_of(*effects: dict, vx: list[float] | None = None, channels=CHANNELS) -> PreparedRun:
+def rig(
+    *effects: dict,
+    vx: list[float] | None = None,
+    channels=CHANNELS,
+    settings: DatasetSettings = DEFAULT_DATASET,
+) -> RigDataset:
     setup = setup_of(PROFILE, vx=vx)
     setup.effects = list(effects)
     run = recorded(setup, channels=channels, force_noise=LOAD_CELL)
-    return coarse("run", run, carriage_forces=True)
+    return RigDataset.of([coarse("run", run, carriage_forces=True)], settings)
 
 
 def test_a_load_cell_tells_the_pull_at_the_carriage_and_the_weight():
@@ -96,8 +97,7 @@ def test_the_floor_of_a_load_cell_is_what_an_average_leaves_of_its_noise():
 
 
 def test_friction_acts_while_the_carriage_moves_and_a_spring_by_its_way():
-    # With its rest, as if what came before had been left out already.
-    found = RigDataset.of([replace(run_of(), rest_left_out=1.0)])
+    found = rig(settings=WITH_REST)
     moving = found.time(0) > 2.0
     friction, spring = AugmentedModel((HorizontalCoulomb,)), AugmentedModel((CableSpring,))
     newtons, stiffness = (float(each.free[0].value(1.0)) for each in (friction, spring))

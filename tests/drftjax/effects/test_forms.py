@@ -89,6 +89,14 @@ def test_a_floor_is_looked_for_where_the_plates_of_any_wheel_are(radius):
     assert np.any((starts > 0.6 * deepest) & (starts < 0.9 * deepest))
 
 
+@pytest.mark.parametrize(("lowest", "highest", "apart"), [(1, 10, 1 / 8), (10, 30, 1 / 4)])
+def test_a_ripple_of_any_order_has_a_start_near_it(lowest, highest, apart):
+    """A gear's ratio need not be whole."""
+    starts = np.asarray(field_metadata(KNOWN["speed_ripple"])["order"]["starts"])
+    orders = np.linspace(lowest, highest, 1000)
+    assert np.abs(orders[:, None] - starts).min(axis=1).max() <= apart
+
+
 def test_sand_loosens_late_and_at_once_or_early_and_long():
     late = KNOWN["loosening_stretched"](loss=0.2, decay=2.0, exponent=2.0)
     early = KNOWN["loosening_stretched"](loss=0.2, decay=2.0, exponent=0.5)
