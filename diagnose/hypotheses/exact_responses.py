@@ -2,6 +2,8 @@
 
 Those of the regressors are taken about the reference model. Beside a lag, or an effect that bends
 the runs' path, they are others, and rank effects wrongly whose response zeta all but makes up for.
+An effect that the common program lacks, as it would slow it down, is simulated at a small strength
+in the place of its derivative.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +17,7 @@ from diagnose.model.augmented_model import (
     COLUMN_COUNTS,
     AugmentedModel,
     Directions,
+    predict,
 )
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
@@ -23,6 +26,10 @@ from drftjax.effects.catalogue import shapes, strengths
 # Those of the program that differentiates small sets, which is compiled already.
 COLUMNS = COLUMN_COUNTS[0]
 
+
+# Strength that is simulated of an effect that the common program lacks [typical sizes]: beyond what
+# plates that enter the sand one by one make of it, and little of what effects usually are.
+SECANT = 0.1
 
 # Responses by further effect, by run: one column for each strength [m, N, N m], shape (channels,
 # samples, strengths).
@@ -84,7 +91,7 @@ def exact_responses(
         pool: Threads.
 
     Returns:
-        Of the effects that the program has by which the set is differentiated.
+        Of all effects, but those at whose small strength a run cannot be simulated.
     """
     whole = regressors.common_model_with(here.model.effects)
     known = [each for each in variants if each.effect in whole.effects]
@@ -99,7 +106,67 @@ def exact_responses(
         ]
         if own:
             found |= _responses_by(regressors, here, own, model, pool)
+    lacking = [each for each in variants if each not in known]
+    return found | _secants(regressors, here, lacking, pool) if lacking else found
+
+
+def _secants(
+    regressors: Regressors, here: Hypothesis, variants: Sequence[ShapeVariant], pool: RunPool
+) -> ResponsesOf:
+    """Responses to further effects' strengths over `SECANT` from their null.
+
+    Zeta changes along, so that the wheel stays about as deep: where sand gets stronger a wheel that
+    rests stands for longer, which no derivative shows. What zeta does is taken off again.
+
+    Returns:
+        Of each effect with which all runs can be simulated.
+    """
+    dataset, count = regressors.dataset, len(here.coordinates)
+
+    def simulated(
+        model: AugmentedModel, log_zeta: np.ndarray, coordinates: np.ndarray
+    ) -> list[np.ndarray]:
+        dataset.compile(pool, predict, model)
+        return dataset.map(
+            pool, lambda run: dataset.prediction(model, run, log_zeta[run], coordinates)
+        )
+
+    found, plain = {}, simulated(here.model, here.log_zeta, here.coordinates)
+    for each in variants:
+        model = AugmentedModel((*here.model.effects, each.effect))
+        null = np.r_[here.coordinates, np.zeros(len(each.columns)), np.log(each.shapes)]
+        steps = SECANT * np.eye(len(each.columns), len(null), count)
+        by_zeta = np.array([_as_zeta(regressors, column) for column in each.columns])
+        moved = [
+            simulated(model, here.log_zeta - SECANT * share, null + step)
+            for share, step in zip(by_zeta, steps, strict=True)
+        ]
+        if all(dataset.all_finite(runs) for runs in moved):
+            found[each.effect.about.name] = [
+                np.stack(
+                    [
+                        (moved[k][run] - plain[run]) / SECANT
+                        + by_zeta[k, run] * here.columns[run][:, :, 0]
+                        for k in range(len(steps))
+                    ],
+                    axis=2,
+                )
+                for run in dataset.run_numbers
+            ]
     return found
+
+
+def _as_zeta(regressors: Regressors, column: int) -> np.ndarray:
+    """Log zeta that changes each run's sinkage about as a strength does [-], shape (runs,).
+
+    By the responses about the reference model.
+    """
+    z = regressors.dataset.channels.index("z")
+    found = []
+    for columns in regressors.columns:
+        zeta, strength = columns[z, :, 0], columns[z, :, 1 + column]
+        found.append(zeta @ strength / max(zeta @ zeta, np.finfo(float).tiny))
+    return np.array(found)
 
 
 def _responses_by(

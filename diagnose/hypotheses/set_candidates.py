@@ -40,6 +40,8 @@ class SetScreeningSettings:
         max_deficit: Of these none that is further behind the best in log score [-].
         number_cost: Log score that each number must gain by which one form of an effect has more
             than another [-]: what it costs in a weight, whose evidence counts half as much.
+        max_astray: Further sets that get more, where a linear fit puts them before the best that
+            was reached and the first simulation went far, to where they did worse.
         max_per_effect: Sets that one effect is added to before those with other effects come.
         sets_per_round: Sets that are simulated.
         max_simulations: Simulations of all runs for each set, at most.
@@ -68,6 +70,7 @@ class SetScreeningSettings:
     sets_per_round: int = 13
     max_simulations: int = 3
     max_continued: int = 8
+    max_astray: int = 2
     both_starts: int = 2
     far_both_starts: int = 13
     far_bases: int = 2

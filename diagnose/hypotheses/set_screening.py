@@ -118,7 +118,8 @@ def race(
     """Refine the starts; only the leading ones get more than one simulation.
 
     One that does worse than without the effect which was added went astray, and is refined again
-    from there.
+    from there. So do some that went far: a load, say, that is made up for by a quarter of zeta.
+    What a linear fit promises of such a way may be there, though not at its end.
 
     Args:
         regressors: The runs.
@@ -131,14 +132,17 @@ def race(
     def first(start: Hypothesis) -> tuple[Hypothesis, Hypothesis]:
         return start, refine(regressors, start, 1, pool, refinement)
 
-    def onward(here: Hypothesis) -> Hypothesis:
-        if settings.fresh_derivatives and here.is_simulated:
+    def went_far(start: Hypothesis, here: Hypothesis) -> bool:
+        return np.abs(here.log_zeta - start.log_zeta).max() > refinement.min_detour
+
+    def onward(here: Hypothesis, is_elsewhere: bool = False) -> Hypothesis:
+        if (settings.fresh_derivatives or is_elsewhere) and here.is_simulated:
             here = relinearize(regressors, here, pool)
         return refine(regressors, here, settings.max_simulations - 1, pool, refinement)
 
     def further(both: tuple[Hypothesis, Hypothesis]) -> Hypothesis:
         start, here = both
-        found = onward(here)
+        found = onward(here, went_far(start, here))
         if start.start_score == -np.inf or (found.is_simulated and found.score > start.start_score):
             return found
         again = onward(at_its_start(regressors, start, pool))
@@ -147,6 +151,11 @@ def race(
     begun = pool.map_outer(first, starts)
     begun.sort(key=lambda both: -predicted_score(regressors, both[1], pool))
     leading, rest = begun[: settings.max_continued], begun[settings.max_continued :]
+    best = max((here.score for _, here in begun if here.is_simulated), default=-np.inf)
+    astray = [both for both in rest if went_far(*both) and both[0].fit.score > best]
+    astray.sort(key=lambda both: -both[0].fit.score)
+    leading += astray[: settings.max_astray]
+    rest = [both for both in rest if both not in leading]
     return [*pool.map_outer(further, leading), *(here for _, here in rest)]
 
 

@@ -28,6 +28,10 @@ Pair = Float[Array, "2"]
 VERTICAL_STICK = 1e-4
 
 
+# Speeds over which a guide's breakaway friction fades, in those over which friction turns over [-].
+BREAKAWAY_RANGE = 5.0
+
+
 HORIZONTAL_STICK = 1e-3
 
 
@@ -59,20 +63,28 @@ class VerticalCoulomb(MemorylessLoad):
 
 
 class VerticalCreepFriction(MemorylessLoad):
-    """Dry friction of a vertical guide that creeps before it slides, by a width of its own."""
+    """Dry friction of a vertical guide that creeps before it slides, and breaks away from more.
+
+    Slow sliding takes the more force by Tustin's law, a form of Stribeck's curve (Armstrong et al.
+    1994, "A survey of models, analysis tools and compensation methods for the control of machines
+    with friction", Automatica 30).
+    """
 
     about: ClassVar = EffectInfo(
         "vertical_creep_friction",
         "rig",
-        "F_z = -force tanh(v_z / creep)",
-        "dry friction of a vertical guide that creeps before it slides",
+        "F_z = -(force + breakaway exp(-|v_z| / (5 creep))) tanh(v_z / creep)",
+        "dry friction of a vertical guide that creeps before it slides, and breaks away from more",
         form_of="vertical_coulomb",
     )
     force: Number = strength("N", 5.0, "friction", least=0.0)
+    breakaway: Number = strength("N", 2.0, "further friction of slow sliding", least=0.0)
     creep: Number = shape("m/s", 3e-4, (3e-4, 1e-3), "speed over which the friction turns over")
 
     def load(self, position: Pair, velocity: Pair, moment: StepContext, memory: Memory) -> Pair:
-        return along_z(-self.force * jnp.tanh(velocity[1] / self.creep))
+        relative = velocity[1] / self.creep
+        further = self.breakaway * jnp.exp(-jnp.abs(relative) / BREAKAWAY_RANGE)
+        return along_z(-(self.force + further) * jnp.tanh(relative))
 
 
 class VerticalViscous(MemorylessLoad):
