@@ -4,6 +4,7 @@ A smooth wheel turns on at an even 2 rad/s over two turns: on a free carriage, a
 that goes at half of the rim's speed, or drags the wheel along while it is locked.
 """
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -268,6 +269,20 @@ def test_creeping_friction_lies_between_dry_and_viscous():
     wide = force("vertical_creep_friction", width, force=6.0, creep=100 * width)
     damped = force("vertical_viscous", width, damping=6.0 / (100 * width))
     assert wide == pytest.approx(damped * (1 - 1e-4 / 3), rel=1e-8)
+
+
+def test_a_guide_breaks_away_from_more_than_it_slides_with():
+    width, at = 1e-4, moment(0.0, 0.0, DT)
+    friction = KNOWN["vertical_creep_friction"](force=6.0, breakaway=4.0, creep=width)
+
+    def force(speed):
+        return float(friction.load(jnp.zeros(2), jnp.full(2, speed), at, ())[1])
+
+    # Five widths on, a part 1/e of the breakaway is left (Tustin); the rest of it far beyond.
+    assert force(5 * width) == pytest.approx(-(6 + 4 / math.e) * math.tanh(5), rel=CLOSE)
+    assert force(-5 * width) == -force(5 * width)
+    assert force(200 * width) == pytest.approx(-6.0, rel=CLOSE)
+    assert force(0.0) == 0
 
 
 def test_a_surface_spring_pushes_up_in_proportion_to_the_whole_sinkage():
