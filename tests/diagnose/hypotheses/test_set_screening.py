@@ -267,6 +267,24 @@ def test_pairs_get_derivatives_by_the_simulator_far_from_the_model_alone(
     assert not DEFAULT_LARGER_SETS.where(is_far).fresh_derivatives
 
 
+def test_a_start_that_goes_far_to_where_it_does_worse_is_gone_on_from(regressors, singles, pool):
+    start = next(set_candidates(regressors, singles, singles, pool)).build()
+    zeta, coordinates = start.proposed_step
+    # A tenth of zeta more: twice what counts as far.
+    far = replace(start, proposed_step=(zeta + 2 * DEFAULT_REFINEMENT.min_detour, coordinates))
+    promised = replace(far, fit=replace(far.fit, score=1e6))
+    settings = replace(DEFAULT_LARGER_SETS, max_continued=1, max_astray=1)
+
+    def raced(*starts):
+        others = race(regressors, starts, pool, settings, DEFAULT_REFINEMENT)
+        return min(each.score for each in others), max(each.score for each in others)
+
+    worst, best = raced(start, far)  # no linear fit puts it first
+    assert worst < start.start_score < best
+    worst, best = raced(start, promised)
+    assert worst > start.start_score
+
+
 def test_no_start_is_refined_twice(regressors, singles, pool, monkeypatch):
     """A refinement has no chance in it: the same start ends at the same place."""
     begun = []
