@@ -121,7 +121,7 @@ def _secants(
     Returns:
         Of each effect with which all runs can be simulated.
     """
-    dataset, count = regressors.dataset, len(here.coordinates)
+    dataset = regressors.dataset
 
     def simulated(
         model: AugmentedModel, log_zeta: np.ndarray, coordinates: np.ndarray
@@ -131,14 +131,18 @@ def _secants(
             pool, lambda run: dataset.prediction(model, run, log_zeta[run], coordinates)
         )
 
-    found, plain = {}, simulated(here.model, here.log_zeta, here.coordinates)
-    for each in variants:
-        model = AugmentedModel((*here.model.effects, each.effect))
-        null = np.r_[here.coordinates, np.zeros(len(each.columns)), np.log(each.shapes)]
-        steps = SECANT * np.eye(len(each.columns), len(null), count)
+    # One program of all of them: each further one would have to be compiled.
+    whole = AugmentedModel((*here.model.effects, *(each.effect for each in variants)))
+    null = [np.r_[np.zeros(len(each.columns)), np.log(each.shapes)] for each in variants]
+    start = np.concatenate([here.coordinates, *null])
+    plain = simulated(here.model, here.log_zeta, here.coordinates)
+    found, first = {}, len(here.coordinates)
+    for each, own in zip(variants, null, strict=True):
+        steps = SECANT * np.eye(len(each.columns), len(start), first)
+        first += len(own)
         by_zeta = np.array([_as_zeta(regressors, column) for column in each.columns])
         moved = [
-            simulated(model, here.log_zeta - SECANT * share, null + step)
+            simulated(whole, here.log_zeta - SECANT * share, start + step)
             for share, step in zip(by_zeta, steps, strict=True)
         ]
         if all(dataset.all_finite(runs) for runs in moved):
