@@ -107,7 +107,7 @@ def exact_responses(
         if own:
             found |= _responses_by(regressors, here, own, model, pool)
     lacking = [each for each in variants if each not in known]
-    return found | _secants(regressors, here, lacking, pool) if lacking else found
+    return {**found, **_secants(regressors, here, lacking, pool)} if lacking else found
 
 
 def _secants(
