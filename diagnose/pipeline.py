@@ -185,7 +185,7 @@ class _Diagnosing:
         errors = standard_errors(found.regressors, chosen, self.pool, settings.standard_error)
         budget, by_name = self.budget(weighed, gap, errors), weight_by_name(weighed.share)
         if is_listed:  # A correction in an effect's place leaves less than the budget's set.
-            by_name = doubted_weights(by_name, budget, settings.budget)
+            by_name = doubted_weights(by_name, budget, UNKNOWN, settings.budget)
         return Diagnosis(
             verdict=reported_names(weighed.verdict),
             weights=by_name,

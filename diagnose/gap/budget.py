@@ -39,6 +39,9 @@ class BudgetSettings:
     Attributes:
         min_sure_size: An effect is sure only if it makes up for more than this many times what is
             left of some channel, where a gap is left [-].
+        min_sure_remainder: That something unknown acts beside the effects is sure only where they
+            leave more than this in some channel [noise floors]. What differs in form only leaves
+            as much.
         most_doubted: Weight of others at most [-]: about the share of such names that were right in
             the fresh sets with which it was chosen (docs/results/blind.md).
         draws: Draws of conditions and of the effects' numbers.
@@ -49,6 +52,7 @@ class BudgetSettings:
     """
 
     min_sure_size: float = 2.0
+    min_sure_remainder: float = 3.0
     most_doubted: float = 0.7
     draws: int = 200
     probability: float = 0.9
@@ -120,16 +124,19 @@ class ChannelBudget:
 def doubted_weights(
     weights: Mapping[str, float],
     budget: Mapping[str, ChannelBudget],
+    remainder: str,
     settings: BudgetSettings = DEFAULT_BUDGET,
 ) -> dict[str, float]:
     """Weights by which no effect is sure that does little beside the gap that is left.
 
     What a model lacks is never quite of the form of a listed effect. Where a gap is left, something
-    else acts, and an effect that is not much larger may stand for a part of it.
+    else acts, and an effect that is not much larger may stand for a part of it. A gap of few floors
+    is what a form leaves, and makes nothing else sure.
 
     Args:
         weights: By name [-].
         budget: By channel, of the effects of the verdict.
+        remainder: Name of what acts beside them.
         settings: Numbers of the doubt.
 
     Returns:
@@ -142,6 +149,9 @@ def doubted_weights(
             beside = max(abs(e.effects[name].size) / max(e.after, e.floor) for e in divided)
             if name in found and beside < settings.min_sure_size:
                 found[name] = min(found[name], settings.most_doubted)
+    left = max((e.after / e.floor for e in budget.values() if e.effects), default=np.inf)
+    if remainder in found and left < settings.min_sure_remainder:
+        found[remainder] = min(found[remainder], settings.most_doubted)
     return dict(sorted(found.items(), key=lambda each: -each[1]))
 
 

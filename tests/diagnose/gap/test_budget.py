@@ -185,13 +185,26 @@ def test_an_effect_that_does_little_beside_what_is_left_is_not_sure():
     weights = {"backlash": 0.99, "heap": 0.98, "imbalance": 0.97, "unknown": 0.9, "drawbar": 0.3}
     x = channel_budget(100.0, 5.0, {"backlash": 90.0, "heap": 3.0, "imbalance": -1.0})
     z = channel_budget(9.0, 1.0, {"backlash": 0.0, "heap": 0.5, "imbalance": 6.0})
-    found = doubted_weights(weights, {"x": x, "z": z})
+    found = doubted_weights(weights, {"x": x, "z": z}, "unknown")
     # The imbalance does little in x, where a gap is left, and nearly all in z.
     assert found == {**weights, "heap": 0.7}
     assert list(found) == ["backlash", "imbalance", "unknown", "heap", "drawbar"]
     # A weight below that stays as it is, and where no gap is left small effects are sure.
     faint = {**weights, "heap": 0.2}
-    assert doubted_weights(faint, {"x": x, "z": z}) == faint
+    assert doubted_weights(faint, {"x": x, "z": z}, "unknown") == faint
     closed = channel_budget(100.0, 1.2, {"backlash": 90.0, "heap": 2.0, "imbalance": -1.0})
-    assert doubted_weights(weights, {"x": closed, "z": z}) == weights
-    assert doubted_weights(weights, {}) == weights
+    sure = {name: weight for name, weight in weights.items() if name != "unknown"}
+    assert doubted_weights(sure, {"x": closed, "z": z}, "unknown") == sure
+    assert doubted_weights(weights, {}, "unknown") == weights
+
+
+def test_few_floors_that_are_left_make_nothing_unknown_sure():
+    weights = {"backlash": 0.99, "unknown": 0.98}
+    z = channel_budget(90.0, 2.9, {"backlash": 85.0})
+    assert doubted_weights(weights, {"z": z}, "unknown") == {**weights, "unknown": 0.7}
+    # Three floors in one channel are enough.
+    x = channel_budget(90.0, 3.1, {"backlash": 85.0})
+    assert doubted_weights(weights, {"x": x, "z": z}, "unknown") == weights
+    # Alone it is the verdict, however small the gap.
+    alone = channel_budget(2.9, 2.9, {})
+    assert doubted_weights({"unknown": 0.98}, {"z": alone}, "unknown") == {"unknown": 0.98}
