@@ -189,7 +189,7 @@ def test_rows_count_until_wheel_and_carriage_stand():
 
 
 def test_a_bed_that_bears_no_wheel_is_refused():
-    with pytest.raises(InputError, match=r"of 162 simulations diverge or sink past the wheel's"):
+    with pytest.raises(InputError, match=r"of 164 simulations diverge or sink past the wheel's"):
         screen(short_run(), ranges={"zeta": (0.001, 0.002)}, settings=FEW, seed=SEED)
 
 
