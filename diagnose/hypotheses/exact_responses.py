@@ -29,7 +29,7 @@ COLUMNS = COLUMN_COUNTS[0]
 
 # Strength that is simulated of an effect that the common program lacks [typical sizes]: beyond what
 # plates that enter the sand one by one make of it, and little of what effects usually are.
-SECANT = 0.1
+SMALL_STRENGTH = 0.1
 
 # Responses by further effect, by run: one column for each strength [m, N, N m], shape (channels,
 # samples, strengths).
@@ -113,13 +113,13 @@ def exact_responses(
 def _secants(
     regressors: Regressors, here: Hypothesis, variants: Sequence[ShapeVariant], pool: RunPool
 ) -> ResponsesOf:
-    """Responses to further effects' strengths over `SECANT` from their null.
+    """Secants of the runs over `SMALL_STRENGTH` of further effects from their null [m, N, N m].
 
     Zeta changes along, so that the wheel stays about as deep: where sand gets stronger a wheel that
     rests stands for longer, which no derivative shows. What zeta does is taken off again.
 
     Returns:
-        Of each effect with which all runs can be simulated.
+        Of each effect with which all runs can be simulated, of shapes as `ResponsesOf` has them.
     """
     dataset = regressors.dataset
 
@@ -138,18 +138,18 @@ def _secants(
     plain = simulated(here.model, here.log_zeta, here.coordinates)
     found, first = {}, len(here.coordinates)
     for each, own in zip(variants, null, strict=True):
-        steps = SECANT * np.eye(len(each.columns), len(start), first)
+        steps = SMALL_STRENGTH * np.eye(len(each.columns), len(start), first)
         first += len(own)
         by_zeta = np.array([_as_zeta(regressors, column) for column in each.columns])
         moved = [
-            simulated(whole, here.log_zeta - SECANT * share, start + step)
+            simulated(whole, here.log_zeta - SMALL_STRENGTH * share, start + step)
             for share, step in zip(by_zeta, steps, strict=True)
         ]
         if all(dataset.all_finite(runs) for runs in moved):
             found[each.effect.about.name] = [
                 np.stack(
                     [
-                        (moved[k][run] - plain[run]) / SECANT
+                        (moved[k][run] - plain[run]) / SMALL_STRENGTH
                         + by_zeta[k, run] * here.columns[run][:, :, 0]
                         for k in range(len(steps))
                     ],

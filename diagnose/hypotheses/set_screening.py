@@ -118,8 +118,8 @@ def race(
     """Refine the starts; only the leading ones get more than one simulation.
 
     One that does worse than without the effect which was added went astray, and is refined again
-    from there. So do some that went far: a load, say, that is made up for by a quarter of zeta.
-    What a linear fit promises of such a way may be there, though not at its end.
+    from there. Some that went far get more simulations, too: a load, say, is made up for by a
+    quarter of zeta, and what a linear fit promises may lie on the way.
 
     Args:
         regressors: The runs.

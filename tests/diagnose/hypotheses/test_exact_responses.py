@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnose.dataset import match_initial_zeta
-from diagnose.hypotheses.exact_responses import FurtherResponses, exact_responses
+from diagnose.dataset import RigDataset, match_initial_zeta
+from diagnose.hypotheses.exact_responses import (
+    SMALL_STRENGTH,
+    FurtherResponses,
+    exact_responses,
+)
 from diagnose.hypotheses.hypothesis import Hypothesis, linear_start
 from diagnose.hypotheses.refinement import refine, relinearize
 from diagnose.hypotheses.set_candidates import joined_from_null
@@ -92,6 +96,28 @@ def test_what_the_common_program_lacks_is_simulated(regressors, here, pool, name
         error = np.abs(own[:, :, 0] - expected).max(axis=1)
         # A secant over a tenth of its typical size, with zeta's derivative after Broyden's updates.
         assert (error <= 0.05 * np.abs(expected).max()).all()
+
+
+def test_the_wheel_stays_as_deep_meanwhile(regressors, here, pool, monkeypatch):
+    """On sand that gets stronger a wheel that rests would stand for longer."""
+    simulated = RigDataset.prediction
+    depths = {}
+
+    def watched(self, model, run, log_zeta, coordinates):
+        found = simulated(self, model, run, log_zeta, coordinates)
+        z = found[self.channels.index("z")].mean()
+        depths.setdefault(run, []).append((log_zeta == here.log_zeta[run], z))
+        return found
+
+    variant = _variant(regressors, "cohesion")
+    monkeypatch.setattr(RigDataset, "prediction", watched)
+    found = exact_responses(regressors, here, [variant], pool)["cohesion"]
+    z = regressors.dataset.channels.index("z")
+    for run, ((_, plain), (is_same_zeta, moved)) in depths.items():
+        assert not is_same_zeta
+        # What it would rise by with zeta as it is.
+        alone = SMALL_STRENGTH * found[run][z, :, 0].mean()
+        assert abs(moved - plain) < 0.2 * abs(alone)
 
 
 def test_responses_that_are_not_known_exactly_are_the_regressors(regressors, here, pool):
