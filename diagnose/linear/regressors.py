@@ -139,7 +139,8 @@ class Regressors:
         together = dataset.map(
             pool, lambda run: _parts(dataset, splits[run], columns[run], residual[run])
         )
-        gram = _gram_matrices(dataset, [_products(each) for each in together], log_zeta)
+        over_one = log_zeta + _log_reference_zeta(dataset)
+        gram = _gram_matrices(dataset, [_products(each) for each in together], over_one)
         parts = [[part[:, 1:-1] for part in each] for each in together]
         return cls(dataset, log_zeta, variants, columns, residual, splits, parts, gram, settings)
 
@@ -225,7 +226,7 @@ class Regressors:
         def of(run: int) -> Products:
             return _products(_parts(dataset, self.splits[run], columns[run], residual[run]))
 
-        return _gram_matrices(dataset, dataset.map(pool, of), log_zeta)
+        return _gram_matrices(dataset, dataset.map(pool, of), log_zeta + self.log_reference_zeta)
 
     def gram_matrices_beside_all(
         self,
@@ -239,27 +240,29 @@ class Regressors:
         Args:
             columns, residual, log_zeta, pool: As for `gram_matrices_of`.
         """
-        dataset, known = self.dataset, self.gram_matrices
+        known = self.gram_matrices
+        count = columns[0].shape[-1]
+        size = count + known.gram.shape[-1] - 1
+        gram = np.empty((*known.gram.shape[:2], size, size))
 
-        def of(run: int) -> Products:
-            given = _parts(dataset, self.splits[run], columns[run], residual[run])
-            grams = []
+        def fill(run: int) -> list[int]:
+            given = _parts(self.dataset, self.splits[run], columns[run], residual[run])
+            beside = slice(count, -1)
             for block, (part, mine) in enumerate(zip(given, self.parts[run], strict=True)):
+                # In place: what pieces are joined from would be copied twice.
+                whole, own, cross = gram[run, block], part.T @ part, part.T @ mine
+                whole[:count, :count] = own[:-1, :-1]
+                whole[:count, -1] = whole[-1, :count] = own[-1, :-1]
+                whole[-1, -1] = own[-1, -1]
+                whole[:count, beside], whole[beside, :count] = cross[:-1], cross[:-1].T
+                whole[-1, beside] = whole[beside, -1] = cross[-1]
                 # Products of the regressors with each other exist already.
-                own, cross = part.T @ part, part.T @ mine
-                theirs = known.gram[run, block, 1:-1, 1:-1]
-                grams.append(
-                    np.block(
-                        [
-                            [own[:-1, :-1], cross[:-1], own[:-1, -1:]],
-                            [cross[:-1].T, theirs, cross[-1:].T],
-                            [own[-1:, :-1], cross[-1:], own[-1:, -1:]],
-                        ]
-                    )
-                )
-            return grams, [len(part) for part in given]
+                whole[beside, beside] = known.gram[run, block, 1:-1, 1:-1]
+            return [len(part) for part in given]
 
-        return _gram_matrices(dataset, dataset.map(pool, of), log_zeta)
+        counts = np.array(self.dataset.map(pool, fill))
+        over_one = log_zeta + self.log_reference_zeta
+        return GramMatrices(block_names(self.dataset.channels), gram, counts, over_one)
 
     def block_powers(self, residual: list[np.ndarray], pool: RunPool) -> np.ndarray:
         """Part of each run in the mean square of residuals in each block, shape (runs, blocks).
@@ -309,14 +312,10 @@ def _products(parts: Sequence[np.ndarray]) -> Products:
 def _gram_matrices(
     dataset: RigDataset, products: Sequence[Products], log_zeta: np.ndarray
 ) -> GramMatrices:
-    """Gram matrices from the products of each run, and its log zeta, shape (runs,)."""
+    """Gram matrices from the products of each run, and its log zeta over one reference for all."""
     grams, counts = zip(*products, strict=True)
-    return GramMatrices(
-        block_names(dataset.channels),
-        np.array(grams),
-        np.array(counts),
-        log_zeta + _log_reference_zeta(dataset),
-    )
+    blocks = block_names(dataset.channels)
+    return GramMatrices(blocks, np.array(grams), np.array(counts), log_zeta)
 
 
 def _responses(

@@ -233,7 +233,7 @@ def _simulate(
     trial: Trial,
     observed: PaddedObservations,
     log_zeta: Array,
-    coordinates: Array,
+    coordinates: Array | np.ndarray,
 ) -> Array:
     zeta = trial.simulator.terrain.zeta.value * jnp.exp(log_zeta)  # pyright: ignore
     trial = eqx.tree_at(lambda t: t.simulator.terrain.zeta.value, trial, zeta)
@@ -282,8 +282,8 @@ def _of_all_channels(observed: PaddedObservations, channels: tuple[str, ...]) ->
     """The recording with an error by the step for every channel, and without what was read."""
     error = np.zeros((len(CHANNELS), observed.step_error.shape[-1]), observed.step_error.dtype)
     error[_rows_of(channels)] = observed.step_error
-    nothing = jnp.zeros(0, error.dtype)
-    return replace(observed, values=nothing, weight=nothing, step_error=jnp.asarray(error))
+    nothing = np.zeros(0, error.dtype)
+    return replace(observed, values=nothing, weight=nothing, step_error=error)
 
 
 def predict(
@@ -310,7 +310,7 @@ def predict(
         the plates it carries, or runs away.
     """
     program = program_within(model, shared)
-    at = jnp.asarray(program.start + program.mix @ coordinates, float)
+    at = np.asarray(program.start + program.mix @ coordinates)
     seen = _of_all_channels(observed, channels)
     found = _simulate_compiled(program.model, program.held, CHANNELS, trial, seen, log_zeta, at)
     return np.asarray(found)[_rows_of(channels)]
