@@ -64,6 +64,7 @@ def by_kind(sets: list[ScoredSet]) -> dict[str, dict]:
             row["false_alarms"] = _proportion(these, lambda each: bool(each.answer.named()))
         elif kind.startswith(UNKNOWN):
             row["recognised"] = _proportion(these, lambda each: each.first == UNKNOWN)
+            row["unknown_told"] = _proportion(these, lambda each: each.unknown_is_told)
         else:
             row["missed"] = _proportion(these, lambda each: not each.answer.named())
             row["called_unknown"] = _proportion(these, lambda each: each.first == UNKNOWN)

@@ -27,6 +27,7 @@ class ScoreSettings:
             is kept [-].
         budget_tolerance: Greatest difference of a share in the budget from the true one [-].
         size_tolerance: Greatest difference of a change's size from the true one, over that [-].
+        likely_weight: A weight from which on something outside the list is told beside names [-].
     """
 
     faint_floors: float = 3.0
@@ -35,6 +36,7 @@ class ScoreSettings:
     shrinkage_tolerance: float = 0.10
     budget_tolerance: float = 0.10
     size_tolerance: float = 0.20
+    likely_weight: float = 0.5
 
 
 DEFAULT_SCORING = ScoreSettings()
@@ -140,6 +142,12 @@ class ScoredSet:
     def confidently_wrong(self) -> bool:
         """True if an effect that the rig does not have has a confident weight."""
         return any(self.confident_names)
+
+    @property
+    def unknown_is_told(self) -> bool:
+        """True if the answer says that something outside the list acts, alone or beside names."""
+        beside = self.answer.weights.get(UNKNOWN, 0.0)
+        return self.first == UNKNOWN or beside > self.settings.likely_weight
 
     @property
     def effects_offered(self) -> list[bool]:

@@ -32,6 +32,7 @@ def _kinds(score: dict) -> WholeWordTable:
         "both": "both named",
         "at_least_one": "at least one named",
         "recognised": "recognised",
+        "unknown_told": "told, alone or beside names",
         "called_unknown": "called unknown",
         "missed": "called none",
         "false_alarms": "false alarms",

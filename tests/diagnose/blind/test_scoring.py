@@ -93,6 +93,13 @@ def test_an_effect_answered_by_two_is_not_right_and_offers_more():
     assert (row["first"]["hits"], row["in_group"]["hits"], row["mean_group_size"]) == (0, 1, 3)
 
 
+@pytest.mark.parametrize(("beside", "is_told"), [(0.6, True), (0.4, False)])
+def test_something_unlisted_may_be_told_beside_names(beside, is_told):
+    answer = Answer(["loosening"], {"loosening": 0.6, "unknown": beside})
+    row = score_answers({"set_4": LABELS["set_4"]}, {"set_4": answer})["kinds"]["unknown, plain"]
+    assert (row["recognised"]["hits"], row["unknown_told"]["hits"]) == (0, int(is_told))
+
+
 def test_score_of_the_truth_has_no_fault():
     truth = {
         name: Answer(label["effects"] or ["none"], {"+".join(label["effects"]) or "none": 1.0})
