@@ -30,7 +30,13 @@ from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.linear_fit import LinearFit, floor_inflation, log_score
 from diagnose.linear.linearized_runs import linearize_runs
 from diagnose.linear.regressors import Regressors, ShapeVariant
-from diagnose.model.augmented_model import shared_model
+from diagnose.model.augmented_model import (
+    AugmentedModel,
+    directions_within,
+    predict,
+    predict_with_jacobian,
+    shared_model,
+)
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.repeats import group_by_condition
@@ -87,10 +93,20 @@ def screen_effects(
     report("baseline: zeta of each run")
     log_zeta = match_initial_zeta(dataset, pool, settings.initial_zeta)
     dataset = replace(dataset.with_fewer_plates(), shared=shared_model(effects))
+    _begin_shared_programs(dataset, pool)
     report(f"linearising {len(dataset.runs)} runs, and {len(effects)} effects along them")
     linearized = linearize_runs(dataset, log_zeta, pool, settings.linearization)
     regressors = Regressors.of(dataset, linearized, effects, pool, settings.linear_fit)
     return Screening(regressors, pool, settings).run(report)
+
+
+def _begin_shared_programs(dataset: RigDataset, pool: RunPool) -> None:
+    """Begin with the two programs that serve most sets, while the responses leave a core idle."""
+    if dataset.shared.effects:
+        one = AugmentedModel(dataset.shared.effects[:1])
+        dataset.compile(pool, predict, one, waits=False)
+        directions = directions_within(one, dataset.shared)
+        dataset.compile(pool, predict_with_jacobian, directions, waits=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,6 +55,7 @@ def refine_sets(
         key = each.from_null, each.base.names
         starts.setdefault(each.names, {}).setdefault(key, each)
     starts = varied(starts, settings.max_per_effect)
+    starts = unlike_first(regressors, starts, pool, settings)
 
     def other_kind(known: Hypothesis) -> list[SetCandidate]:
         first, *others = starts[frozenset(known.names)].values()
@@ -106,6 +107,57 @@ def varied(starts: Starts, max_per_effect: int) -> Starts:
         count[added] = count.get(added, 0) + 1
         (early if count[added] <= max_per_effect else late).append(names)
     return {names: starts[names] for names in (*early, *late)}
+
+
+def unlike_first(
+    regressors: Regressors, starts: Starts, pool: RunPool, settings: SetScreeningSettings
+) -> Starts:
+    """Starts in the same order, but that few which change the runs alike come before others.
+
+    Args:
+        regressors: The runs.
+        starts: By names of the set, best first.
+        pool: Threads.
+        settings: What is alike, and how many of these come first.
+    """
+    leading = [*starts][: settings.max_compared * settings.sets_per_round]
+    proposed = [next(iter(starts[names].values())) for names in leading]
+    alike = _likeness(regressors, proposed, pool) > settings.min_alike
+    early, late = list[int](), list[int]()
+    for place, is_alike in enumerate(alike):
+        (early if is_alike[early].sum() < settings.max_alike else late).append(place)
+    first = [leading[place] for place in (*early, *late)]
+    return {names: starts[names] for names in (*first, *starts)}
+
+
+def _likeness(
+    regressors: Regressors, candidates: Sequence[SetCandidate], pool: RunPool
+) -> np.ndarray:
+    """Correlation of the changes of all runs that candidates propose, in model errors.
+
+    Returns:
+        Shape (candidates, candidates); not a number for one that changes nothing.
+    """
+    if not candidates:
+        return np.zeros((0, 0))
+
+    def change(each: SetCandidate) -> list[np.ndarray]:
+        start = each.build()
+        assert start.proposed_step is not None
+        log_zeta, coordinates = start.proposed_step
+        return [
+            columns @ np.r_[own, coordinates]
+            for columns, own in zip(start.columns, log_zeta, strict=True)
+        ]
+
+    changes = pool.map_outer(change, candidates)
+    by_run = [np.stack(of_run, axis=-1) for of_run in zip(*changes, strict=True)]
+    about = regressors.residual, regressors.log_zeta
+    matrices = regressors.gram_matrices_of(by_run, *about, pool)
+    products = matrices.weighed(regressors.settings).sum(axis=0)[:-1, :-1]
+    size = np.sqrt(np.diagonal(products))
+    with np.errstate(invalid="ignore"):
+        return products / np.outer(size, size)
 
 
 def race(
