@@ -148,7 +148,7 @@ def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, m
 
     monkeypatch.setattr(set_screening, "race", as_they_begin)
     every = SetScreeningSettings(
-        max_per_effect=most, sets_per_round=10**6, both_starts=0, max_retries=0
+        max_per_effect=most, max_alike=10**6, sets_per_round=10**6, both_starts=0, max_retries=0
     )
     refine_sets(regressors, singles, singles, pool, every)
     # The effect that is added comes last.
@@ -162,6 +162,30 @@ def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, m
     as_ranked = [frozenset(each.names) for each in begun]
     assert by_set != as_ranked
     assert {*by_set} == {*as_ranked}
+
+
+def test_of_what_changes_the_runs_alike_few_come_before_others(
+    regressors, singles, pool, monkeypatch
+):
+    """A pull and friction do the same to a wheel that only goes forward."""
+    begun = []
+
+    def as_they_begin(regressors, starts, pool, settings, refinement):
+        begun.append([each.names[-1] for each in starts])
+        return list(starts)
+
+    monkeypatch.setattr(set_screening, "race", as_they_begin)
+    base = [each for each in singles if each.names == ("vertical_viscous",)]
+    for most in (1, 10**6):
+        every = SetScreeningSettings(
+            max_alike=most, sets_per_round=10**6, both_starts=0, max_retries=0
+        )
+        refine_sets(regressors, base, singles, pool, every)
+    one_first, as_ranked = begun
+    assert {*one_first} == {*as_ranked}
+    second = max(("drawbar", "horizontal_coulomb"), key=as_ranked.index)
+    assert as_ranked[-1] != second
+    assert one_first == [*(name for name in as_ranked if name != second), second]
 
 
 def test_an_effect_that_has_no_part_is_taken_out_again(regressors, singles, pairs, pool):
