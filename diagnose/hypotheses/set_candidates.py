@@ -43,12 +43,12 @@ class SetScreeningSettings:
         max_astray: Further sets that get more, where a linear fit puts them before the best that
             was reached and the first simulation went far, to where they did worse.
         max_per_effect: Sets that one effect is added to before those with other effects come.
-        min_alike: Sets that change the runs alike are those whose changes, as linear fits propose
-            them, have this correlation in model errors, at least [-].
-        max_alike: So many of them before others come. A pull, friction, a smaller wheel and sand
-            pushed ahead have 0.96 to 0.999, and would be all that is simulated; which of them it is
-            is asked in the end, where look-alikes take each other's place.
-        max_compared: Sets that are compared so, at most, for each that is simulated.
+        min_correlation: Sets change the runs alike where the changes that their linear fits propose
+            have this correlation, in model errors, at least [-]. A pull, friction, a smaller wheel
+            and sand pushed ahead do.
+        max_correlated: Of sets that do, so many before others come. Which of the effects it is is
+            asked in the end, where look-alikes take each other's place.
+        max_compared: Sets that are compared so for each that is simulated, at most.
         sets_per_round: Sets that are simulated.
         max_simulations: Simulations of all runs for each set, at most.
         max_continued: Sets that get more than one: those that lead after it. Where the reference
@@ -73,8 +73,8 @@ class SetScreeningSettings:
     max_deficit: float = np.inf
     number_cost: float = 3.0
     max_per_effect: int = 2
-    min_alike: float = 0.95
-    max_alike: int = 2
+    min_correlation: float = 0.95
+    max_correlated: int = 2
     max_compared: int = 3
     sets_per_round: int = 13
     max_simulations: int = 3

@@ -122,18 +122,18 @@ def unlike_first(
     """
     leading = [*starts][: settings.max_compared * settings.sets_per_round]
     proposed = [next(iter(starts[names].values())) for names in leading]
-    alike = _likeness(regressors, proposed, pool) > settings.min_alike
+    alike = _correlations(regressors, proposed, pool) > settings.min_correlation
     early, late = list[int](), list[int]()
     for place, is_alike in enumerate(alike):
-        (early if is_alike[early].sum() < settings.max_alike else late).append(place)
+        (early if is_alike[early].sum() < settings.max_correlated else late).append(place)
     first = [leading[place] for place in (*early, *late)]
     return {names: starts[names] for names in (*first, *starts)}
 
 
-def _likeness(
+def _correlations(
     regressors: Regressors, candidates: Sequence[SetCandidate], pool: RunPool
 ) -> np.ndarray:
-    """Correlation of the changes of all runs that candidates propose, in model errors.
+    """Correlation of the changes of all runs that candidates propose, in model errors [-].
 
     Returns:
         Shape (candidates, candidates); not a number for one that changes nothing.

@@ -148,7 +148,11 @@ def test_no_effect_is_added_too_often_before_others(regressors, singles, pool, m
 
     monkeypatch.setattr(set_screening, "race", as_they_begin)
     every = SetScreeningSettings(
-        max_per_effect=most, max_alike=10**6, sets_per_round=10**6, both_starts=0, max_retries=0
+        max_per_effect=most,
+        max_correlated=10**6,
+        sets_per_round=10**6,
+        both_starts=0,
+        max_retries=0,
     )
     refine_sets(regressors, singles, singles, pool, every)
     # The effect that is added comes last.
@@ -178,7 +182,7 @@ def test_of_what_changes_the_runs_alike_few_come_before_others(
     base = [each for each in singles if each.names == ("vertical_viscous",)]
     for most in (1, 10**6):
         every = SetScreeningSettings(
-            max_alike=most, sets_per_round=10**6, both_starts=0, max_retries=0
+            max_correlated=most, sets_per_round=10**6, both_starts=0, max_retries=0
         )
         refine_sets(regressors, base, singles, pool, every)
     one_first, as_ranked = begun
