@@ -29,14 +29,8 @@ from diagnose.hypotheses.set_screening import race, refine_sets, without_effect
 from diagnose.hypotheses.settings import DEFAULT_SCREENING, ScreeningSettings
 from diagnose.linear.linear_fit import LinearFit, floor_inflation, log_score
 from diagnose.linear.linearized_runs import linearize_runs
-from diagnose.linear.regressors import Regressors, ShapeVariant
-from diagnose.model.augmented_model import (
-    AugmentedModel,
-    directions_within,
-    predict,
-    predict_with_jacobian,
-    shared_model,
-)
+from diagnose.linear.regressors import Regressors, ShapeVariant, begin_derivatives
+from diagnose.model.augmented_model import AugmentedModel, predict, shared_model
 from diagnose.run_pool import RunPool
 from drftjax.effects.base import AbstractEffect
 from drftjax.recorded.repeats import group_by_condition
@@ -103,10 +97,8 @@ def screen_effects(
 def _begin_shared_programs(dataset: RigDataset, pool: RunPool) -> None:
     """Begin with the two programs that serve most sets, while the responses leave a core idle."""
     if dataset.shared.effects:
-        one = AugmentedModel(dataset.shared.effects[:1])
-        dataset.compile(pool, predict, one, waits=False)
-        directions = directions_within(one, dataset.shared)
-        dataset.compile(pool, predict_with_jacobian, directions, waits=False)
+        dataset.compile(pool, predict, AugmentedModel(dataset.shared.effects[:1]), waits=False)
+        begin_derivatives(dataset, dataset.shared, pool)
 
 
 @dataclass(frozen=True, eq=False)

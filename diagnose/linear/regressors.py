@@ -176,8 +176,7 @@ class Regressors:
         wholes = {self.model_to_differentiate(each.effects) for each in models}
         for whole in (self.dataset.shared, self.common_model):
             if whole in wholes:
-                directions = directions_within(AugmentedModel(whole.effects[:1]), whole)
-                self.dataset.compile(pool, predict_with_jacobian, directions, waits=False)
+                begin_derivatives(self.dataset, whole, pool)
 
     @cached_property
     def log_reference_zeta(self) -> np.ndarray:
@@ -276,6 +275,18 @@ class Regressors:
         return matrices.gram[:, :, -1, -1] / np.maximum(matrices.sample_count.sum(axis=0), 1)
 
 
+def begin_derivatives(dataset: RigDataset, whole: AugmentedModel, pool: RunPool) -> None:
+    """Begin with the program that differentiates sets of some effects.
+
+    Args:
+        dataset: The runs.
+        whole: Model with all of these effects, one at least.
+        pool: Threads.
+    """
+    directions = directions_within(AugmentedModel(whole.effects[:1]), whole)
+    dataset.compile(pool, predict_with_jacobian, directions, waits=False)
+
+
 def _log_reference_zeta(dataset: RigDataset) -> np.ndarray:
     return np.array(
         [float(np.log(t.simulator.terrain.zeta.value)) for t in dataset.trials]  # pyright: ignore
@@ -312,7 +323,7 @@ def _products(parts: Sequence[np.ndarray]) -> Products:
 def _gram_matrices(
     dataset: RigDataset, products: Sequence[Products], log_zeta: np.ndarray
 ) -> GramMatrices:
-    """Gram matrices from the products of each run, and its log zeta over one reference for all."""
+    """Gram matrices from each run's products and log zeta over one reference [-], shape (runs,)."""
     grams, counts = zip(*products, strict=True)
     blocks = block_names(dataset.channels)
     return GramMatrices(blocks, np.array(grams), np.array(counts), log_zeta)

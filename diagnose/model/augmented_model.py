@@ -310,7 +310,7 @@ def predict(
         the plates it carries, or runs away.
     """
     program = program_within(model, shared)
-    at = np.asarray(program.start + program.mix @ coordinates)
+    at = program.start + program.mix @ coordinates
     seen = _of_all_channels(observed, channels)
     found = _simulate_compiled(program.model, program.held, CHANNELS, trial, seen, log_zeta, at)
     return np.asarray(found)[_rows_of(channels)]

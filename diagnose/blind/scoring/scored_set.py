@@ -27,7 +27,7 @@ class ScoreSettings:
             is kept [-].
         budget_tolerance: Greatest difference of a share in the budget from the true one [-].
         size_tolerance: Greatest difference of a change's size from the true one, over that [-].
-        likely_weight: A weight from which on something outside the list is told beside names [-].
+        likely_weight: Weight over which something outside the list is told beside names [-].
     """
 
     faint_floors: float = 3.0
